@@ -1,0 +1,213 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""A semidefinite program in matrix letters, and its affine data.
+
+Every inequality becomes a matrix that is affine in the scalar unknowns, F(v) = F0 + v1 F1 + ... + vN FN > 0.
+The coefficients are collected by reading the expression with an algebra of affine forms: no modelling layer is
+between the paper's block matrix and the solver's arrays.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from faultrecon.finding import InputError
+from faultrecon.lmi.expr import Expr, Inequality, ShapeError
+from faultrecon.lmi.walk import evaluate, leaves
+
+
+class NotAffineError(ShapeError):
+    """A product of two unknowns, or an inverse: no linear matrix inequality."""
+
+
+@dataclass(frozen=True)
+class Form:
+    """An affine matrix, row by row: `constant` (r, c) plus `slope` (r*c, N) sparse times the unknowns; None is zero."""
+
+    constant: np.ndarray
+    slope: Any | None
+
+
+@dataclass(frozen=True)
+class Problem:
+    """Minimise an affine scalar subject to strict matrix inequalities, some unknowns held at given values.
+
+    minimise: (1, 1) Expr or None for a feasibility problem.  fixed: name to number or array.
+    """
+
+    inequalities: Sequence[Inequality]
+    minimise: Expr | None = None
+    fixed: Mapping[str, Any] | None = None
+
+    @cached_property
+    def unknowns(self) -> dict[str, Expr]:
+        """The unknowns that are free, by name, in a fixed order."""
+        exprs = [i.expr for i in self.inequalities] + ([self.minimise] if self.minimise is not None else [])
+        found = leaves(exprs, "unknown")
+        strange = set(self.fixed or {}) - set(found)
+        if strange:
+            raise InputError(f"{sorted(strange)[0]} is held fixed", why=f"the unknowns are {', '.join(found)}")
+        return {name: leaf for name, leaf in found.items() if name not in (self.fixed or {})}
+
+    @cached_property
+    def offsets(self) -> dict[str, int]:
+        """Where each unknown begins in the vector of scalar unknowns."""
+        starts, at = {}, 0
+        for name, leaf in self.unknowns.items():
+            starts[name] = at
+            at += freedom(leaf)
+        return starts
+
+    @cached_property
+    def size(self) -> int:
+        """Number of scalar unknowns."""
+        return sum(freedom(leaf) for leaf in self.unknowns.values())
+
+    @cached_property
+    def forms(self) -> list[Form]:
+        """The positive side of each inequality as an affine form."""
+        return [evaluate(i.positive, self._algebra, self._memo) for i in self.inequalities]
+
+    @cached_property
+    def objective(self) -> Form | None:
+        """The objective as an affine form (1, 1)."""
+        return None if self.minimise is None else evaluate(self.minimise, self._algebra, self._memo)
+
+    @cached_property
+    def _algebra(self) -> AffineAlgebra:
+        return AffineAlgebra(self)
+
+    @cached_property
+    def _memo(self) -> dict[int, Any]:
+        return {}
+
+    def unpack(self, v: np.ndarray) -> dict[str, np.ndarray]:
+        """The unknowns as matrices, the fixed ones among them, from the vector of scalar unknowns (N,)."""
+        values = {}
+        for name, leaf in self.unknowns.items():
+            part = v[self.offsets[name] : self.offsets[name] + freedom(leaf)]
+            values[name] = (_pattern(leaf) @ part).reshape(leaf.shape)
+        exprs = [i.expr for i in self.inequalities] + ([self.minimise] if self.minimise is not None else [])
+        found = leaves(exprs, "unknown")
+        for name, value in (self.fixed or {}).items():
+            values[name] = np.broadcast_to(np.asarray(value, dtype=float), found[name].shape).copy()
+        return values
+
+
+def freedom(leaf: Expr) -> int:
+    """Number of scalars in an unknown."""
+    rows, columns = leaf.shape
+    return rows * (rows + 1) // 2 if leaf.args[1] else rows * columns
+
+
+def _pattern(leaf: Expr) -> Any:
+    """The sparse (r*c, freedom) matrix from an unknown's scalars to its entries."""
+    from scipy import sparse
+
+    rows, columns = leaf.shape
+    if not leaf.args[1]:
+        return sparse.eye_array(rows * columns, format="csr")
+    i, j = np.indices((rows, columns))
+    high, low = np.maximum(i, j), np.minimum(i, j)
+    index = high * (high + 1) // 2 + low
+    ones = np.ones(rows * columns)
+    return sparse.csr_array((ones, (np.arange(rows * columns), index.ravel())), shape=(rows * columns, freedom(leaf)))
+
+
+class AffineAlgebra:
+    """Reads an expression as affine forms in the unknowns of a problem."""
+
+    def __init__(self, problem: Problem) -> None:
+        self.problem = problem
+
+    def leaf(self, node: Expr) -> Form:
+        if node.op == "given":
+            return Form(node.args[1], None)
+        fixed = self.problem.fixed or {}
+        if node.name in fixed:
+            value = np.asarray(fixed[node.name], dtype=float)
+            if value.ndim and value.shape != node.shape:
+                raise ShapeError(f"{node.name} is held at a {value.shape} value", why=f"it is {node.shape}")
+            return Form(np.broadcast_to(value, node.shape), None)
+        from scipy import sparse
+
+        local = _pattern(node).tocoo()
+        columns = local.col + self.problem.offsets[node.name]
+        slope = sparse.csr_array((local.data, (local.row, columns)), shape=(local.shape[0], self.problem.size))
+        return Form(np.zeros(node.shape), slope)
+
+    def number(self, value: float) -> Form:
+        return Form(np.array([[value]]), None)
+
+    def eye(self, n: int) -> Form:
+        return Form(np.eye(n), None)
+
+    def zero(self, rows: int, columns: int) -> Form:
+        return Form(np.zeros((rows, columns)), None)
+
+    def add(self, a: Form, b: Form) -> Form:
+        if a.slope is None or b.slope is None:
+            return Form(a.constant + b.constant, a.slope if b.slope is None else b.slope)
+        return Form(a.constant + b.constant, a.slope + b.slope)
+
+    def neg(self, a: Form) -> Form:
+        return Form(-a.constant, None if a.slope is None else -a.slope)
+
+    def matmul(self, a: Form, b: Form) -> Form:
+        from scipy import sparse
+
+        constant = a.constant @ b.constant
+        if a.slope is not None and b.slope is not None:
+            raise NotAffineError("a product of two unknowns", why="the inequality is not linear in them")
+        if b.slope is not None:
+            return Form(constant, sparse.kron(a.constant, np.eye(b.constant.shape[1]), "csr") @ b.slope)
+        if a.slope is not None:
+            return Form(constant, sparse.kron(np.eye(a.constant.shape[0]), b.constant.T, "csr") @ a.slope)
+        return Form(constant, None)
+
+    def scale(self, s: Form, a: Form) -> Form:
+        from scipy import sparse
+
+        constant = s.constant[0, 0] * a.constant
+        if s.slope is not None and a.slope is not None:
+            raise NotAffineError("a product of two unknowns", why="the inequality is not linear in them")
+        if a.slope is not None:
+            return Form(constant, s.constant[0, 0] * a.slope)
+        if s.slope is not None:
+            return Form(constant, sparse.csr_array(a.constant.reshape(-1, 1)) @ s.slope)
+        return Form(constant, None)
+
+    def transpose(self, a: Form) -> Form:
+        if a.slope is None:
+            return Form(a.constant.T, None)
+        order = np.arange(a.constant.size).reshape(a.constant.shape).T.ravel()
+        return Form(a.constant.T, a.slope[order])
+
+    def inv(self, a: Form) -> Form:
+        if a.slope is not None:
+            raise NotAffineError("an inverse of an unknown", why="the inequality is not linear in it")
+        return Form(np.linalg.inv(a.constant), None)
+
+    def block(self, rows: list[list[Form]]) -> Form:
+        from scipy import sparse
+
+        constant = np.block([[b.constant for b in row] for row in rows])
+        parts, at = [], 0
+        index = np.arange(constant.size).reshape(constant.shape)
+        for row in rows:
+            left = 0
+            for b in row:
+                r, c = b.constant.shape
+                if b.slope is not None:
+                    local = b.slope.tocoo()
+                    parts.append((index[at : at + r, left : left + c].ravel()[local.row], local.col, local.data))
+                left += c
+            at += row[0].constant.shape[0]
+        if not parts:
+            return Form(constant, None)
+        i, j, data = (np.concatenate(part) for part in zip(*parts, strict=True))
+        return Form(constant, sparse.csr_array((data, (i, j)), shape=(constant.size, self.problem.size)))

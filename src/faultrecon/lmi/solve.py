@@ -1,0 +1,149 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Semidefinite programs by Clarabel, from svec data assembled directly.
+
+An outcome is one of three words.  "solved": a point was returned; whether it satisfies the inequalities is for the
+prover to say.  "infeasible": the solver returned a dual certificate and it was checked here in floating point.
+"unknown": anything else, in the solver's own words.  No exception of the solver leaves this module.
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+import numpy as np
+
+from faultrecon.lmi.problem import Form, Problem
+
+ROOT2 = np.sqrt(2.0)
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What the solver answered: `values` by unknown (empty unless solved), `objective`, its own status word and effort."""
+
+    status: Literal["solved", "infeasible", "unknown"]
+    values: dict[str, np.ndarray] = field(default_factory=dict)
+    objective: float = float("nan")
+    solver: str = ""
+    iterations: int = 0
+    seconds: float = 0.0
+
+    @property
+    def solved(self) -> bool:
+        """True when a point was returned."""
+        return self.status == "solved"
+
+
+@dataclass(frozen=True)
+class ConicData:
+    """min q'v  s.t.  b - M v in a product of cones; svec of each block, upper triangle by columns, off-diagonal * √2."""
+
+    q: np.ndarray
+    M: Any
+    b: np.ndarray
+    sizes: tuple[int, ...]
+
+
+def conic_data(problem: Problem, margin: float = 0.0) -> ConicData:
+    """The solver's arrays for `positive side >= margin * I` in scaled coordinates."""
+    from scipy import sparse
+
+    blocks = [_svec(form, problem.size, margin) for form in problem.forms]
+    q = np.zeros(problem.size)
+    if problem.objective is not None and problem.objective.slope is not None:
+        q = problem.objective.slope.toarray().ravel()
+    empty = sparse.csr_array((0, problem.size))
+    M = sparse.vstack([m for m, _, _ in blocks] or [empty], format="csc")
+    b = np.concatenate([rhs for _, rhs, _ in blocks] or [np.zeros(0)])
+    return ConicData(q, M, b, tuple(n for _, _, n in blocks))
+
+
+def _svec(form: Form, size: int, margin: float) -> tuple[Any, np.ndarray, int]:
+    """The rows (-slope, constant) of one matrix inequality after a diagonal congruence by powers of two."""
+    from scipy import sparse
+
+    n = form.constant.shape[0]
+    slope = form.slope if form.slope is not None else sparse.csr_array((n * n, size))
+    diagonal = np.arange(n) * (n + 1)
+    weight = np.maximum(np.abs(form.constant).max(axis=1, initial=0), _row_max(slope[diagonal]))
+    d = np.exp2(-np.round(0.5 * np.log2(np.where(weight > 0, weight, 1.0))))
+    i = np.concatenate([np.arange(k + 1) for k in range(n)]) if n else np.zeros(0, int)
+    j = np.concatenate([np.full(k + 1, k) for k in range(n)]) if n else np.zeros(0, int)
+    factor = np.where(i == j, 1.0, ROOT2) * d[i] * d[j]
+    constant = 0.5 * (form.constant + form.constant.T) - margin * np.diag(1.0 / d**2)
+    upper, lower = slope[i * n + j], slope[j * n + i]
+    return -(0.5 * (upper + lower)).multiply(factor[:, None]).tocsr(), constant[i, j] * factor, n
+
+
+def _row_max(rows: Any) -> np.ndarray:
+    if rows.shape[0] == 0 or rows.shape[1] == 0:
+        return np.zeros(rows.shape[0])
+    return np.abs(rows).max(axis=1).toarray().ravel()
+
+
+def solve(problem: Problem, *, margin: float = 0.0, tolerance: float = 1e-9, time_limit: float = 300.0) -> Outcome:
+    """Solve by an interior-point method.
+
+    margin: how far inside each (scaled) inequality the point has to lie.  tolerance: relative gap and feasibility.
+    """
+    data = conic_data(problem, margin)
+    started = time.perf_counter()
+    try:
+        answer = _clarabel(data, tolerance, time_limit)
+    except (KeyboardInterrupt, SystemExit):
+        raise
+    except BaseException as failure:  # a panic inside the compiled solver derives from BaseException alone
+        return Outcome("unknown", solver=f"Clarabel: {type(failure).__name__}: {failure}")
+    seconds = time.perf_counter() - started
+    word, iterations = str(answer.status).rpartition(".")[2], int(answer.iterations)
+    effort = {"solver": f"Clarabel: {word}", "iterations": iterations, "seconds": seconds}
+    v = np.asarray(answer.x, dtype=float)
+    if word in ("Solved", "AlmostSolved") and np.all(np.isfinite(v)):
+        constant = 0.0 if problem.objective is None else float(problem.objective.constant[0, 0])
+        return Outcome("solved", problem.unpack(v), float(data.q @ v) + constant, **effort)
+    if word == "PrimalInfeasible" and _farkas(data, np.asarray(answer.z, dtype=float)):
+        return Outcome("infeasible", **effort)
+    return Outcome("unknown", **effort)
+
+
+def _clarabel(data: ConicData, tolerance: float, time_limit: float) -> Any:
+    import clarabel
+    from scipy import sparse
+
+    settings = clarabel.DefaultSettings()
+    settings.verbose = False
+    settings.time_limit = time_limit
+    settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = tolerance
+    settings.max_threads = 1  # small dense cones: threads cost more than they give, and results stay reproducible
+    cones = [clarabel.NonnegativeConeT(1) if n == 1 else clarabel.PSDTriangleConeT(n) for n in data.sizes if n > 0]
+    size = len(data.q)
+    quadratic = sparse.csc_matrix((size, size))
+    return clarabel.DefaultSolver(quadratic, data.q, sparse.csc_matrix(data.M), data.b, cones, settings).solve()
+
+
+def _farkas(data: ConicData, z: np.ndarray) -> bool:
+    """Whether z, in the dual cone, shows that no v satisfies the inequalities: M'z = 0 and b'z < 0, to 1e-6."""
+    if not np.all(np.isfinite(z)) or not z.any():
+        return False
+    gain = -float(data.b @ z)
+    if gain <= 0:
+        return False
+    at = 0
+    for n in data.sizes:
+        block = _smat(z[at : at + n * (n + 1) // 2], n)
+        at += n * (n + 1) // 2
+        if n and np.linalg.eigvalsh(block)[0] < -1e-6 * np.abs(z).max():
+            return False
+    residual = np.abs(data.M.T @ z)
+    weight = np.abs(data.M).T @ np.abs(z)
+    return bool(np.all(residual <= 1e-6 * np.maximum(weight, gain)))
+
+
+def _smat(z: np.ndarray, n: int) -> np.ndarray:
+    out = np.zeros((n, n))
+    i = np.concatenate([np.arange(k + 1) for k in range(n)]) if n else np.zeros(0, int)
+    j = np.concatenate([np.full(k + 1, k) for k in range(n)]) if n else np.zeros(0, int)
+    out[i, j] = out[j, i] = z / np.where(i == j, 1.0, ROOT2)
+    return out
