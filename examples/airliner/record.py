@@ -25,12 +25,12 @@ import numpy as np
 import pandas as pd
 from scipy.linalg import expm
 
-FT = 0.3048                              # metres in a foot
+FT = 0.3048  # metres in a foot
 DEG = np.pi / 180
 ALTITUDE_FT, CALIBRATED_KT = 20_000, 300
-STEP = 0.01                              # s, step of the simulator
-HOLD = 0.02                              # s, sample time of the logs and of their noise (50 Hz)
-DURATION, ONSET = 60.0, 20.0             # s
+STEP = 0.01  # s, step of the simulator
+HOLD = 0.02  # s, sample time of the logs and of their noise (50 Hz)
+DURATION, ONSET = 60.0, 20.0  # s
 
 # name: (unit, expected deviation from the operating point)
 STATES = {
@@ -59,11 +59,9 @@ GUSTS = {
     "gust_u": ("m/s", 1.1), "gust_v": ("m/s", 1.1), "gust_w": ("m/s", 1.1),
     "gust_p": ("rad/s", 0.02), "gust_q": ("rad/s", 0.01), "gust_r": ("rad/s", 0.01),
 }  # fmt: skip
-FAULTS = {"pitch_rate": 2.5 * DEG, "pitch_angle": 2.5 * DEG, "roll_rate": 2.5 * DEG}   # name = sensor: size
-LOGS = [(fault, air) for fault in ("healthy", *FAULTS) for air in ("calm", "gust")]
+FAULTS = {"pitch_rate": 2.5 * DEG, "pitch_angle": 2.5 * DEG, "roll_rate": 2.5 * DEG}  # name = sensor: size
+LOGS = [(name, air) for name in ("healthy", *FAULTS, "all_three") for air in ("calm", "gust")]
 
-
-# ---------------------------------------------------------------- the simulator
 
 def load(folder):
     """A fresh 737 executive, made from a copy of the shipped model without its two network sockets."""
@@ -88,7 +86,7 @@ def trim(fdm):
     fdm["gear/gear-cmd-norm"] = fdm["gear/gear-pos-norm"] = 0.0
     fdm.run_ic()
     fdm["propulsion/set-running"] = -1
-    fdm["propulsion/fuel_freeze"] = 1                      # constant mass: the linear model has no fuel state
+    fdm["propulsion/fuel_freeze"] = 1  # constant mass: the linear model has no fuel state
     fdm["simulation/do_simple_trim"] = 1
     return state(fdm), inputs(fdm)
 
@@ -106,21 +104,21 @@ def place(fdm, x, u, gust=(0.0, 0.0, 0.0)):
     command(fdm, u, damper=r)
     fdm.run_ic()
     for axis, speed in zip(("north", "east", "down"), gust, strict=True):
-        fdm[f"atmosphere/wind-{axis}-fps"] = -speed / FT   # heading north: headwind, wind from the right, updraught
+        fdm[f"atmosphere/wind-{axis}-fps"] = -speed / FT  # heading north: headwind, wind from the right, updraught
     for engine in (0, 1):
         fdm[f"propulsion/engine[{engine}]/n2"] = u[0]
     fdm.suspend_integration()
-    for _ in range(8):                                     # the pitching moment uses alpha-dot of the pass before
+    for _ in range(8):  # the pitching moment uses alpha-dot of the pass before
         fdm.run()
 
 
 def command(fdm, u, damper=0.0):
     """Ask for core speed and surface angles; the yaw damper adds its own yaw rate to the rudder, so take it off."""
-    fdm["fcs/elevator-cmd-norm"] = u[1] / 0.30             # full travel in rad, from 737.xml
+    fdm["fcs/elevator-cmd-norm"] = u[1] / 0.30  # full travel in rad, from 737.xml
     fdm["fcs/aileron-cmd-norm"] = u[2] / 0.35
     fdm["fcs/rudder-cmd-norm"] = u[3] / 0.35 - damper
     for engine in (0, 1):
-        fdm[f"fcs/throttle-cmd-norm[{engine}]"] = (u[0] - 60) / 40     # idle 60 %, full 100 %
+        fdm[f"fcs/throttle-cmd-norm[{engine}]"] = (u[0] - 60) / 40  # idle 60 %, full 100 %
 
 
 def velocity(fdm):
@@ -167,8 +165,6 @@ def gusts(fdm):
     return -np.array([*wind, *(fdm[f"atmosphere/{c}-turb-rad_sec"] for c in "pqr")])
 
 
-# ---------------------------------------------------------------- the linear model
-
 def linearise(fdm, x0, u0):
     """Central differences of (dx/dt, y) over state, input and gust; returns A, B, C, D, E_w, F_w."""
     n = len(STATES)
@@ -189,31 +185,28 @@ def linearise(fdm, x0, u0):
     # Couplings that move a state by less than 0.1 % of its range per second (an output by 0.1 % of its range) are
     # set to zero: they are the Earth's rotation and rounding.  Nine decimals are what the steps resolve.
     effect = np.array([s[1] for s in (*STATES.values(), *SENSORS.values())])
-    AC = slope("dx", [0.5] + 7 * [0.005])                  # m/s, then rad and rad/s
-    BD = slope("du", [0.5] + 3 * [0.005])                  # %, then rad
-    EF = slope("gust", 3 * [0.5])                          # m/s
+    AC = slope("dx", [0.5] + 7 * [0.005])  # m/s, then rad and rad/s
+    BD = slope("du", [0.5] + 3 * [0.005])  # %, then rad
+    EF = slope("gust", 3 * [0.5])  # m/s
     A, C = AC[:n], AC[n:]
     Ew = np.hstack([EF[:n], np.zeros((n, 3))])
-    Ew[3:6, 3:] = A[3:6, 3:6]                              # turning air acts as the aircraft turning in still air
+    Ew[3:6, 3:] = A[3:6, 3:6]  # turning air acts as the aircraft turning in still air
     Fw = np.hstack([EF[n:], np.zeros((len(SENSORS), 3))])
     return A, BD[:n], C, BD[n:], Ew, Fw
 
 
-def simulators_own(fdm, A):
-    """FGLinearization's matrices in our order and units, and the entries where it differs from ours by > 5 %."""
+def differences(fdm, A):
+    """The couplings in which JSBSim's own FGLinearization differs from ours by more than 5 %."""
     model = jsbsim.FGLinearization(fdm)
-    names = ("Vt", "Alpha", "Beta", "P", "Q", "R", "Phi", "Theta")
-    xs = [model.x_names.index(name) for name in names]
-    us = [model.u_names.index(name) for name in ("ThtlCmd", "DeCmd", "DaCmd", "DrCmd")]
+    rows = [model.x_names.index(name) for name in ("Vt", "Alpha", "Beta", "P", "Q", "R", "Phi", "Theta")]
     to_si = np.array([FT] + 7 * [1.0])
-    theirs = model.system_matrix[np.ix_(xs, xs)] * to_si[:, None] / to_si
-    B = model.input_matrix[np.ix_(xs, us)] * to_si[:, None] / np.array([40, 0.30, 0.35, 0.35])
-    theirs[:, 5] -= 0.35 * B[:, 3]                         # it closes the yaw damper; our rudder is the surface
-    size = np.array([r for _, r in STATES.values()])
-    matter = abs(A - theirs) * size / size[:, None]        # 1/s, with every state in units of its range
-    names = list(STATES)
-    return [{"row": names[i], "column": names[j], "ours": A[i, j], "theirs": theirs[i, j]}
-            for i, j in np.argwhere((matter > 2e-3) & (abs(A - theirs) > 0.05 * abs(A)))], theirs, B  # fmt: skip
+    theirs = model.system_matrix[np.ix_(rows, rows)] * to_si[:, None] / to_si
+    theirs[:, 5] -= model.input_matrix[rows, model.u_names.index("DrCmd")] * to_si  # it closes the yaw damper
+    size = np.array([s[1] for s in STATES.values()])
+    matter = abs(A - theirs) * size / size[:, None]  # 1/s, with every state in units of its range
+    name = list(STATES)
+    return [{"row": name[i], "column": name[j], "ours": A[i, j], "theirs": round(theirs[i, j], 9)}
+            for i, j in np.argwhere((matter > 2e-3) & (abs(A - theirs) > 0.05 * abs(A)))]  # fmt: skip
 
 
 def mismatch(t, x, u, x0, u0, A, B):
@@ -226,8 +219,6 @@ def mismatch(t, x, u, x0, u0, A, B):
         z[k + 1] = M[:n, :n] @ z[k] + M[:n, n:] @ (u[k] - u0)
     return np.sqrt(((z + x0 - x) ** 2).mean(0) / ((x - x0) ** 2).mean(0))
 
-
-# ---------------------------------------------------------------- flights
 
 def doublet(t, start, length, size):
     return size * (start <= t < start + length) - size * (start + length <= t < start + 2 * length)
@@ -242,16 +233,18 @@ def three_two_one_one(t, start, unit, size):
 
 def manoeuvre(rng):
     """Deviation of u over time: multi-axis, the same plan in each log with its own timing and size."""
-    late = rng.uniform(-0.5, 0.5, 9)                       # s
+    late = rng.uniform(-0.5, 0.5, 9)  # s
     big = rng.uniform(0.85, 1.15, 9)
 
     def plan(t):
-        n2 = 3.0 * big[0] * (12 + late[0] <= t < 30) - 2.0 * big[1] * (38 + late[1] <= t < 52)      # %
+        n2 = 3.0 * big[0] * (12 + late[0] <= t < 30) - 2.0 * big[1] * (38 + late[1] <= t < 52)  # %
         elevator = (three_two_one_one(t, 3 + late[2], 1.2, 0.015 * big[2])                           # rad
                     + three_two_one_one(t, 23 + late[3], 1.2, 0.018 * big[3])
                     + doublet(t, 42 + late[4], 2.0, 0.012 * big[4]))  # fmt: skip
-        aileron = sum(doublet(t, start + late[5], 1.6, size * big[5])
-                      for start, size in ((10, 0.05), (27, -0.06), (33, 0.05), (40, -0.05), (47, 0.06), (54, -0.05)))
+        aileron = sum(
+            doublet(t, start + late[5], 1.6, size * big[5])
+            for start, size in ((10, 0.05), (27, -0.06), (33, 0.05), (40, -0.05), (47, 0.06), (54, -0.05))
+        )
         rudder = doublet(t, 16 + late[6], 1.5, 0.02 * big[6]) + doublet(t, 36 + late[7], 1.5, -0.02 * big[7])
         return np.array([n2, elevator, aileron, rudder])
 
@@ -269,8 +262,8 @@ def fly(folder, x0, u0, plan, *, duration=DURATION, gust_seed=None, hold=True, e
     place(fdm, x0, u0)
     if gust_seed is not None:
         fdm["simulation/randomseed"] = gust_seed
-        fdm["atmosphere/turbulence/milspec/windspeed_at_20ft_AGL-fps"] = 50.0   # used near the ground only
-        fdm["atmosphere/turbulence/milspec/severity"] = 3                        # MIL-F-8785C
+        fdm["atmosphere/turbulence/milspec/windspeed_at_20ft_AGL-fps"] = 50.0  # used near the ground only
+        fdm["atmosphere/turbulence/milspec/severity"] = 3  # MIL-F-8785C
         fdm["atmosphere/turb-type"] = 3
     fdm.resume_integration()
     rows = []
@@ -289,44 +282,46 @@ def fly(folder, x0, u0, plan, *, duration=DURATION, gust_seed=None, hold=True, e
     return t[:, 0], u, x, y, w
 
 
-def fault(name, t, y):
-    """The additive fault on sensor `name`, whose true reading is y, with a sentence about it."""
-    since = np.clip(t - ONSET, 0, None)
+def waveform(name, t, y):
+    """The additive fault on sensor `name`, whose true reading is y, with a phrase that describes it."""
     if name == "pitch_rate":
-        size = FAULTS[name] * np.minimum(since / 25.0, 1.0)
-        return size, "drifts from 20 s, reaches 2.5 deg/s at 45 s and stays there"
+        ramp = np.clip((t - ONSET) / 25.0, 0.0, 1.0)
+        return FAULTS[name] * ramp, "drifts from 20 s, reaches 2.5 deg/s at 45 s and stays there"
     if name == "pitch_angle":
         return FAULTS[name] * (t >= ONSET), "a bias of 2.5 deg from 20 s"
-    return -0.4 * y * (t >= ONSET), "loses 40 % of its effectiveness from 20 s; recorded as the additive fault it causes"
+    return -0.4 * y * (t >= ONSET), "loses 40 % of its effectiveness from 20 s, recorded as an additive fault"
 
 
 def record(folder, x0, u0, name, air, number):
-    """One log as a table, with its facts for the provenance file."""
+    """One log as a table, its facts for the provenance file, and the noise-free t, u, x."""
     seeds = {"manoeuvre": 100 + number, "noise": 200 + number, "gust": 300 + number if air == "gust" else None}
     plan = manoeuvre(np.random.default_rng(seeds["manoeuvre"]))
     t, u, x, y, w = fly(folder, x0, u0, plan, gust_seed=seeds["gust"])
-    spec = np.array([s[1:] for s in SENSORS.values()])
-    measured = y + np.random.default_rng(seeds["noise"]).normal(size=y.shape) * spec[:, 1]
-    table = {"t": t.round(6)} | dict(zip(INPUTS, u.T, strict=True))
-    faults = {f: np.zeros_like(t) for f in FAULTS}
-    facts = {"fault": None, "seeds": seeds}
-    if name in FAULTS:
-        column = list(SENSORS).index(name)
-        faults[name], facts["fault"] = fault(name, t, y[:, column])
-        facts["sensor"], facts["onset_s"] = name, ONSET
-        facts["rms_while_acting"] = float(np.sqrt((faults[name][t >= ONSET] ** 2).mean()))
-        measured[:, column] += faults[name]
-    measured = np.round(measured / spec[:, 2]) * spec[:, 2]
-    table |= dict(zip(SENSORS, measured.T, strict=True))
-    table |= {f"true_f_{f}": v for f, v in faults.items()}
-    table |= {f"true_x_{s}": v.round(6) for s, v in zip(STATES, x.T, strict=True)}
-    facts["gust_rms"] = dict(zip(GUSTS, map(float, np.sqrt((w**2).mean(0)).round(4)), strict=True))
-    facts["largest_deviation"] = dict(zip(STATES, map(float, abs(x - x0).max(0).round(4)), strict=True))
+    gust_rms = np.sqrt((w**2).mean(0))
+    if (gust_rms.min() > 0) != (air == "gust"):  # the simulator accepts turbulence settings that do nothing
+        raise RuntimeError(f"{name}, {air}: the air moves by {gust_rms} (rms, m/s and rad/s)")
+    _, noise, step = np.array([s[1:] for s in SENSORS.values()]).T
+    true = dict(zip(SENSORS, y.T, strict=True))
+    acting = {f: waveform(f, t, true[f]) for f in FAULTS if name in (f, "all_three")}
+    faults = {f: acting[f][0] if f in acting else np.zeros_like(t) for f in FAULTS}
+    for f in acting:
+        y[:, list(SENSORS).index(f)] += faults[f]
+    y += np.random.default_rng(seeds["noise"]).normal(size=y.shape) * noise
+    table = {"t": t.round(6)} | dict(zip(INPUTS, u.T.round(6) + 0.0, strict=True))
+    table |= dict(zip(SENSORS, (np.round(y / step) * step).T + 0.0, strict=True))
+    table |= {f"true_f_{f}": v + 0.0 for f, v in faults.items()}
+    table |= {f"true_x_{s}": v + 0.0 for s, v in zip(STATES, x.T.round(6), strict=True)}
+    facts = {
+        "faults": {f: about for f, (_, about) in acting.items()},
+        "fault_rms_while_acting": {f: float(f"{np.sqrt((faults[f][t >= ONSET] ** 2).mean()):.4g}") for f in acting},
+        "onset_s": ONSET if acting else None,
+        "seeds": seeds,
+        "gust_rms": named(GUSTS, gust_rms),
+        "largest_deviation": named(STATES, abs(x - x0).max(0)),
+    }
     frame = pd.DataFrame(table)
     return frame.astype({c: "float32" for c in frame.columns if c != "t"}), facts, (t, u, x)
 
-
-# ---------------------------------------------------------------- files
 
 def replace(path, write):
     """Write beside the target and rename, so that nobody ever reads half a file."""
@@ -353,7 +348,7 @@ def toml_table(names, values):
 def plant_file(x0, u0, y0, A, B, C, D, Ew, Fw):
     """The plant as TOML text: every number in full, names as in the logs."""
     groups = {"x": (STATES, x0), "u": (INPUTS, u0), "y": (SENSORS, y0)}
-    lines = ["# Boeing 737 (JSBSim), cruise at 20,000 ft and 300 kt calibrated.  Written by examples/airliner/record.py.",
+    lines = ["# Boeing 737 (JSBSim) in cruise, 20,000 ft and 300 kt calibrated.  Written by examples/airliner/record.py.",
              "schema = 1", 'name   = "airliner, Boeing 737 in cruise"', "[signals]"]  # fmt: skip
     for key, (group, _) in groups.items():
         lines.append(f"{key} = [" + ", ".join(f'"{n} [{s[0]}]"' for n, s in group.items()) + "]")
@@ -374,6 +369,64 @@ def plant_file(x0, u0, y0, A, B, C, D, Ew, Fw):
     return "\n".join(lines) + "\n"
 
 
+def small_doublets(folder, x0, u0, A, B):
+    """Per input, the linear model's error over 15 s after a small doublet from trim, hands off."""
+    tried = {"n2": (5.0, 1.0), "elevator": (1.5, 0.005), "aileron": (1.5, 0.01), "rudder": (1.5, 0.005)}  # s, % or rad
+    errors = {}
+    for name, (length, size) in tried.items():
+        axis = np.array([name == other for other in INPUTS])
+
+        def plan(t, axis=axis, length=length, size=size):
+            return doublet(t, 1.0, length, size) * axis
+
+        t, u, x, _, _ = fly(folder, x0, u0, plan, duration=15.0, hold=False, every=1)
+        errors[name] = named(STATES, mismatch(t, x, u, x0, u0, A, B))
+    return errors
+
+
+def named(group, values):
+    return {name: float(f"{v:.3g}") for name, v in zip(group, values, strict=True)}
+
+
+def write_log(out, stem, frame):
+    """Parquet for every log; one also as CSV with the columns a flight recorder would have, and the fault."""
+    compact = {"index": False, "compression": "zstd", "use_dictionary": False, "use_byte_stream_split": True}
+    replace(out / f"{stem}.parquet", lambda name: frame.to_parquet(name, **compact))
+    if stem == "pitch_rate_calm":
+        table = frame[[c for c in frame.columns if not c.startswith("true_x_")]]
+        plain = {"index": False, "float_format": "%.6g", "lineterminator": "\n"}
+        replace(out / f"{stem}.csv", lambda name: table.to_csv(name, **plain))
+
+
+def write_all(folder, out):
+    """Write everything but the provenance file, whose contents are returned."""
+    fdm = load(folder)
+    x0, u0 = trim(fdm)
+    y0, residual = outputs(fdm), state_rate(fdm)
+    A, B, C, D, Ew, Fw = linearise(fdm, x0, u0)
+    plant = plant_file(x0, u0, y0, A, B, C, D, Ew, Fw)
+    replace(out / "airliner.toml", lambda name: Path(name).write_text(plant, newline="\n"))
+    logs = {}
+    for number, (name, air) in enumerate(LOGS):
+        frame, about, (t, u, x) = record(folder, x0, u0, name, air, number)
+        if air == "calm":
+            about["linear_model_error"] = named(STATES, mismatch(t, x, u, x0, u0, A, B))
+        write_log(out, f"{name}_{air}", frame)
+        logs[f"{name}_{air}"] = about
+    return {
+        "simulator": "JSBSim, aircraft model 737", "jsbsim": version("jsbsim"), "python": platform.python_version(),
+        "numpy": version("numpy"), "pyarrow": version("pyarrow"), "script": "examples/airliner/record.py",
+        "log": {"sample_time_s": HOLD, "duration_s": DURATION, "simulator_step_s": STEP,
+                "manoeuvre": "3-2-1-1 and doublet on the elevator, doublets on aileron and rudder, steps of core speed"},
+        "trim": {"altitude_ft": ALTITUDE_FT, "calibrated_airspeed_kt": CALIBRATED_KT,
+                 "x0": named(STATES, x0), "u0": named(INPUTS, u0), "rate_at_trim": named(STATES, residual)},
+        "linearisation": {"method": "central differences of the simulator, inertial states",
+                          "differs_from_FGLinearization": differences(fdm, A),
+                          "error_after_small_doublets": small_doublets(folder, x0, u0, A, B)},
+        "logs": logs,
+    }  # fmt: skip
+
+
 def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--out", type=Path, default=Path("src/faultrecon/data/airliner"))
@@ -382,44 +435,7 @@ def main():
     with tempfile.TemporaryDirectory() as folder:
         facts = write_all(Path(folder), out)
     text = json.dumps(facts, indent=1) + "\n"
-    replace(out / "provenance.json", lambda name: Path(name).write_text(text))
-
-
-def write_all(folder, out):
-    """Everything but the provenance file, whose contents are returned."""
-    fdm = load(folder)
-    x0, u0 = trim(fdm)
-    y0 = outputs(fdm)
-    residual = state_rate(fdm)
-    A, B, C, D, Ew, Fw = linearise(fdm, x0, u0)
-    differs, _, _ = simulators_own(fdm, A)
-    plant = plant_file(x0, u0, y0, A, B, C, D, Ew, Fw)
-    replace(out / "airliner.toml", lambda name: Path(name).write_text(plant))
-    named = lambda group, v: dict(zip(group, (float(f"{a:.3g}") for a in v), strict=True))
-    axes = {"n2": (5.0, 1.0), "elevator": (1.5, 0.005), "aileron": (1.5, 0.01), "rudder": (1.5, 0.005)}
-    alone = {}
-    for j, (name, (length, size)) in enumerate(axes.items()):
-        plan = lambda t, j=j, length=length, size=size: doublet(t, 1.0, length, size) * np.eye(4)[j]
-        t, u, x, _, _ = fly(folder, x0, u0, plan, duration=15.0, hold=False, every=1)
-        alone[name] = named(STATES, mismatch(t, x, u, x0, u0, A, B))
-    logs = {}
-    for number, (name, air) in enumerate(LOGS):
-        frame, about, (t, u, x) = record(folder, x0, u0, name, air, number)
-        if air == "calm":
-            about["linear_model_error"] = named(STATES, mismatch(t, x, u, x0, u0, A, B))
-        replace(out / f"{name}_{air}.parquet", lambda path, frame=frame: frame.to_parquet(path, index=False, compression="zstd"))
-        logs[f"{name}_{air}.parquet"] = about
-        if (name, air) == ("pitch_rate", "calm"):
-            replace(out / f"{name}_{air}.csv", lambda path, frame=frame: frame.to_csv(path, index=False, float_format="%.7g"))
-    return {
-        "simulator": "JSBSim, aircraft model 737", "jsbsim": version("jsbsim"), "python": platform.python_version(),
-        "numpy": version("numpy"), "pyarrow": version("pyarrow"), "script": "examples/airliner/record.py",
-        "condition": {"altitude_ft": ALTITUDE_FT, "calibrated_airspeed_kt": CALIBRATED_KT,
-                      "x0": named(STATES, x0), "u0": named(INPUTS, u0), "rate_at_trim": named(STATES, residual)},
-        "linearisation": {"method": "central differences of the simulator, inertial states",
-                          "differs_from_FGLinearization": differs, "relative_error_of_small_doublets": alone},
-        "logs": logs,
-    }  # fmt: skip
+    replace(out / "provenance.json", lambda name: Path(name).write_text(text, newline="\n"))
 
 
 if __name__ == "__main__":

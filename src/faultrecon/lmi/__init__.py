@@ -1,1 +1,2 @@
 # SPDX-License-Identifier: BSD-3-Clause
+"""Matrix inequalities: stated once, then solved, proved and evaluated."""

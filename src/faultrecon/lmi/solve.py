@@ -21,7 +21,7 @@ ROOT2 = np.sqrt(2.0)
 
 @dataclass(frozen=True)
 class Outcome:
-    """What the solver answered: `values` by unknown (empty unless solved), `objective`, its own status word and effort."""
+    """What the solver answered: `values` by unknown (empty unless solved), `objective`, its own word and effort."""
 
     status: Literal["solved", "infeasible", "unknown"]
     values: dict[str, np.ndarray] = field(default_factory=dict)
@@ -38,7 +38,7 @@ class Outcome:
 
 @dataclass(frozen=True)
 class ConicData:
-    """min q'v  s.t.  b - M v in a product of cones; svec of each block, upper triangle by columns, off-diagonal * √2."""
+    """min q'v  s.t.  b - M v in a product of cones; each block an svec: upper triangle by columns, off-diagonal * √2."""
 
     q: np.ndarray
     M: Any

@@ -9,14 +9,15 @@ eps^(1/k), and a rank test there misses exactly the modes that matter.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from faultrecon.numerics.scaling import scale_states, scaled_norm, state_scaling
+from faultrecon.numerics.scaling import scale_states, spectral_norm, state_scaling
 
-Array = NDArray[np.float64]
-Complex = NDArray[np.complex128]
+Array = NDArray[Any]
+Complex = NDArray[Any]
 
 RANK_TOLERANCE = 1e-11
 """Relative to the norm of the balanced model: 1e5 roundings above eps, far below anything typed by hand."""
@@ -51,15 +52,13 @@ def unobservable_modes(A: ArrayLike, C: ArrayLike, *, tol: float = RANK_TOLERANC
     return sorted(modes, key=lambda mode: (-mode.value.real, -mode.value.imag))
 
 
-def undetectable_modes(
-    A: ArrayLike, C: ArrayLike, *, sampled: bool = False, tol: float = RANK_TOLERANCE
-) -> list[Mode]:
+def undetectable_modes(A: ArrayLike, C: ArrayLike, *, sampled: bool = False, tol: float = RANK_TOLERANCE) -> list[Mode]:
     """Unobservable modes that do not decay: with one of them no observer driven by C converges.
 
     Re s >= 0, or |s| >= 1 when `sampled`; a mode on the boundary counts, up to the rounding of its eigenvalue.
     """
     A = np.asarray(A, dtype=float)
-    slack = 64 * np.finfo(float).eps * max(A.shape[0], 1) * scaled_norm(_balanced(A, np.asarray(C, dtype=float))[0])
+    slack = 64 * np.finfo(float).eps * max(A.shape[0], 1) * spectral_norm(_balanced(A, np.asarray(C, dtype=float))[0])
     growth = (lambda s: abs(s) - 1.0) if sampled else (lambda s: s.real)
     return [mode for mode in unobservable_modes(A, C, tol=tol) if growth(mode.value) >= -slack]
 
@@ -81,7 +80,7 @@ def detectability_margin(A: ArrayLike, C: ArrayLike, *, sampled: bool = False) -
         return np.maximum(s.real, 0.0) + 1j * s.imag
 
     poles = np.linalg.eigvals(A).astype(complex)
-    radius = max(scaled_norm(A), 1e-300)
+    radius = max(spectral_norm(A), 1e-300)
     if sampled:
         boundary = np.exp(1j * np.linspace(0.0, np.pi, 121))
     else:
@@ -130,8 +129,8 @@ def _balanced(A: Array, C: Array) -> tuple[Array, Array, Array]:
 
 def _unobservable_subspace(A: Array, C: Array, tol: float) -> Array:
     """Orthonormal basis of the largest A-invariant subspace of ker C: V <- {v in V : A v in V}, one SVD per step."""
-    N = _kernel(C, tol * scaled_norm(C))
-    limit = tol * scaled_norm(A)
+    N = _kernel(C, tol * spectral_norm(C))
+    limit = tol * spectral_norm(A)
     while N.shape[1]:
         image = A @ N
         kept = _kernel(image - N @ (N.T @ image), limit)
@@ -157,7 +156,7 @@ def _eigendirections(A: Array) -> list[tuple[complex, Complex]]:
     values, left, right = eig(A, left=True, right=True)
     cosine = np.abs(np.sum(left.conj() * right, axis=0))
     # eps |A| / cosine bounds the error of a simple eigenvalue, and for a split Jordan block it is the splitting.
-    size = max(scaled_norm(A), np.finfo(float).tiny)
+    size = max(spectral_norm(A), np.finfo(float).tiny)
     error = 64 * np.finfo(float).eps * size / np.maximum(cosine, 1e-12)
     near = np.abs(values[:, None] - values[None, :]) <= error[:, None] + error[None, :]
     found: list[tuple[complex, Complex]] = []
@@ -195,17 +194,17 @@ def _normalised(v: Complex) -> Complex:
 def _smallest_singular(A: Array, C: Array, s: Complex) -> Array:
     """sigma_min([(sI - A)/|A|; C/|C|]) for every s."""
     n = A.shape[0]
-    a, c = max(scaled_norm(A), 1e-300), max(scaled_norm(C), 1e-300)
+    a, c = max(spectral_norm(A), 1e-300), max(spectral_norm(C), 1e-300)
     stack = np.empty((s.size, n + C.shape[0], n), dtype=complex)
     stack[:, :n] = (s[:, None, None] * np.eye(n) - A) / a
     stack[:, n:] = C / c
     return np.linalg.svd(stack, compute_uv=False)[:, -1]
 
 
-def _downhill(A: Array, C: Array, s: complex, value: float, inside) -> float:  # noqa: ANN001
+def _downhill(A: Array, C: Array, s: complex, value: float, inside) -> float:
     """Compass search for a local minimum of the smallest singular value inside the region."""
     compass = np.array([1, -1, 1j, -1j])
-    step = 0.1 * max(abs(s), 1e-3 * max(scaled_norm(A), 1e-300))
+    step = 0.1 * max(abs(s), 1e-3 * max(spectral_norm(A), 1e-300))
     for _ in range(48):
         trial = inside(s + step * compass)
         values = _smallest_singular(A, C, trial)
@@ -225,7 +224,7 @@ def _equilibrate(M: Array) -> Array:
 
 def _square(A: Array, B: Array, C: Array, D: Array, tol: float) -> tuple[Array, Array, Array, Array]:
     """The part of the system that carries its finite zeros, with a square invertible feedthrough."""
-    limit = tol * max(scaled_norm(np.block([[A, B], [C, D]])), 1e-300)
+    limit = tol * max(spectral_norm(np.block([[A, B], [C, D]])), 1e-300)
     A, B, C, D = _reduce(A, B, C, D, limit)
     At, Ct, Bt, Dt = _reduce(A.T, C.T, B.T, D.T, limit)
     return At.T, Bt.T, Ct.T, Dt.T
@@ -266,7 +265,7 @@ def _confirmed_zeros(model: tuple[Array, Array, Array, Array], s: Complex) -> Co
     """Candidates at which the pencil really loses rank, compared with its rank at a generic point."""
     A, B, C, D = model
     n = A.shape[0]
-    scale = max(scaled_norm(A), 1e-300)
+    scale = max(spectral_norm(A), 1e-300)
 
     def singular(s: Complex) -> Array:
         stack = np.empty((s.size, n + C.shape[0], n + B.shape[1]), dtype=complex)

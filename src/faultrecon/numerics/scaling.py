@@ -15,15 +15,13 @@ from numpy.typing import ArrayLike, NDArray
 
 from faultrecon.finding import InputError
 
-Array = NDArray[np.float64]
+Array = NDArray[Any]
 
 LARGEST_EXPONENT = 60
 """Beyond 2**60 (1e18) two units differ by more than double precision can hold side by side."""
 
 
-def scale_states(
-    A: Array, B: Array, C: Array, exponents: NDArray[np.int64]
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+def scale_states(A: Array, B: Array, C: Array, exponents: NDArray[np.int64]) -> tuple[Array, Array, Array]:
     """T^-1 A T, T^-1 B and C T for T = diag(2**exponents), without a rounding error."""
     t = np.ldexp(1.0, exponents)
     return A * (t[None, :] / t[:, None]), B / t[:, None], C * t[None, :]
@@ -67,9 +65,7 @@ def _declared(ranges: ArrayLike | None, n: int) -> tuple[NDArray[np.int64], NDAr
     return np.clip(exponents, -LARGEST_EXPONENT, LARGEST_EXPONENT), declared
 
 
-def _gauge(
-    A: Array, B: Array, C: Array, fixed: NDArray[np.int64], declared: NDArray[np.bool_]
-) -> NDArray[np.int64]:
+def _gauge(A: Array, B: Array, C: Array, fixed: NDArray[np.int64], declared: NDArray[np.bool_]) -> NDArray[np.int64]:
     """Units read off the pattern alone: they follow any change of units exactly, so what is fitted after them is the same.
 
     States are reached in an order that only the zero pattern decides: declared ones, then those with an input or an
@@ -144,7 +140,7 @@ def _balance(links: tuple[NDArray[np.intp], NDArray[np.intp], Array], n: int, fr
     return e[:n]
 
 
-def scaled_norm(M: Any) -> float:
+def spectral_norm(M: Any) -> float:
     """Spectral norm, 0 for an empty matrix."""
     M = np.asarray(M)
     return float(np.linalg.norm(M, 2)) if M.size else 0.0

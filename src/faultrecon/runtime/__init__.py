@@ -1,1 +1,2 @@
 # SPDX-License-Identifier: BSD-3-Clause
+"""Where time passes: estimators, step by step or over a whole log."""
