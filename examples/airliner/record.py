@@ -4,7 +4,7 @@
     python examples/airliner/record.py --out src/faultrecon/data/airliner
 
 The truth plant is the nonlinear 737 that the `jsbsim` wheel brings along.  What is written is a linear plant
-file for one cruise condition, eight short flights (healthy and with a failing sensor, in calm air and in
+file for one cruise condition, ten short flights (healthy and with failing sensors, in calm air and in
 gusts), and `provenance.json`, which says how every file came about and how far the linear model can be trusted.
 
 The states are inertial.  Gusts then enter as velocities of the air: they act through the aerodynamics and
@@ -23,7 +23,7 @@ from pathlib import Path
 import jsbsim
 import numpy as np
 import pandas as pd
-from scipy.linalg import expm
+from scipy.signal import lsim
 
 FT = 0.3048  # metres in a foot
 DEG = np.pi / 180
@@ -122,6 +122,7 @@ def command(fdm, u, damper=0.0):
 
 
 def velocity(fdm):
+    """Inertial velocity along the body axes, m/s."""
     return np.array([fdm[f"velocities/{c}-fps"] for c in "uvw"]) * FT
 
 
@@ -195,8 +196,10 @@ def linearise(fdm, x0, u0):
     return A, BD[:n], C, BD[n:], Ew, Fw
 
 
-def differences(fdm, A):
+def differences(fdm, x0, u0, A):
     """The couplings in which JSBSim's own FGLinearization differs from ours by more than 5 %."""
+    place(fdm, x0, u0)
+    fdm.resume_integration()
     model = jsbsim.FGLinearization(fdm)
     rows = [model.x_names.index(name) for name in ("Vt", "Alpha", "Beta", "P", "Q", "R", "Phi", "Theta")]
     to_si = np.array([FT] + 7 * [1.0])
@@ -211,16 +214,13 @@ def differences(fdm, A):
 
 def mismatch(t, x, u, x0, u0, A, B):
     """Root-mean-square error of the linear model per state, relative to that state's own motion."""
-    n, m = B.shape
-    M = expm(np.block([[A, B], [np.zeros((m, n + m))]]) * (t[1] - t[0]))
-    z = np.zeros_like(x)
-    z[0] = x[0] - x0
-    for k in range(len(t) - 1):
-        z[k + 1] = M[:n, :n] @ z[k] + M[:n, n:] @ (u[k] - u0)
+    model = (A, B, np.eye(len(A)), np.zeros_like(B))
+    _, z, _ = lsim(model, u - u0, t, X0=x[0] - x0, interp=False)  # inputs held from sample to sample
     return np.sqrt(((z + x0 - x) ** 2).mean(0) / ((x - x0) ** 2).mean(0))
 
 
 def doublet(t, start, length, size):
+    """Up for one length, down for the next."""
     return size * (start <= t < start + length) - size * (start + length <= t < start + 2 * length)
 
 
@@ -241,10 +241,8 @@ def manoeuvre(rng):
         elevator = (three_two_one_one(t, 3 + late[2], 1.2, 0.015 * big[2])                           # rad
                     + three_two_one_one(t, 23 + late[3], 1.2, 0.018 * big[3])
                     + doublet(t, 42 + late[4], 2.0, 0.012 * big[4]))  # fmt: skip
-        aileron = sum(
-            doublet(t, start + late[5], 1.6, size * big[5])
-            for start, size in ((10, 0.05), (27, -0.06), (33, 0.05), (40, -0.05), (47, 0.06), (54, -0.05))
-        )
+        rolls = ((10, 0.05), (27, -0.06), (33, 0.05), (40, -0.05), (47, 0.06), (54, -0.05))  # s, rad
+        aileron = sum(doublet(t, start + late[5], 1.6, size * big[5]) for start, size in rolls)
         rudder = doublet(t, 16 + late[6], 1.5, 0.02 * big[6]) + doublet(t, 36 + late[7], 1.5, -0.02 * big[7])
         return np.array([n2, elevator, aileron, rudder])
 
@@ -311,14 +309,10 @@ def record(folder, x0, u0, name, air, number):
     table |= dict(zip(SENSORS, (np.round(y / step) * step).T + 0.0, strict=True))
     table |= {f"true_f_{f}": v + 0.0 for f, v in faults.items()}
     table |= {f"true_x_{s}": v + 0.0 for s, v in zip(STATES, x.T.round(6), strict=True)}
-    facts = {
-        "faults": {f: about for f, (_, about) in acting.items()},
-        "fault_rms_while_acting": {f: float(f"{np.sqrt((faults[f][t >= ONSET] ** 2).mean()):.4g}") for f in acting},
-        "onset_s": ONSET if acting else None,
-        "seeds": seeds,
-        "gust_rms": named(GUSTS, gust_rms),
-        "largest_deviation": named(STATES, abs(x - x0).max(0)),
-    }
+    rms = {f: np.sqrt((faults[f][t >= ONSET] ** 2).mean()) for f in acting}
+    facts = {"faults": {f: about for f, (_, about) in acting.items()}, "onset_s": ONSET if acting else None,
+             "fault_rms_while_acting": named(rms, rms.values()), "seeds": seeds,
+             "gust_rms": named(GUSTS, gust_rms), "largest_deviation": named(STATES, abs(x - x0).max(0))}  # fmt: skip
     frame = pd.DataFrame(table)
     return frame.astype({c: "float32" for c in frame.columns if c != "t"}), facts, (t, u, x)
 
@@ -336,19 +330,15 @@ def replace(path, write):
         raise
 
 
-def toml_matrix(name, M):
-    rows = ",\n     ".join("[" + ", ".join(repr(float(v)) for v in row) + "]" for row in M)
-    return f"{name} = [{rows}]"
-
-
 def toml_table(names, values):
+    """An inline table with every number in full."""
     return "{ " + ", ".join(f"{n} = {float(v)!r}" for n, v in zip(names, values, strict=True)) + " }"
 
 
 def plant_file(x0, u0, y0, A, B, C, D, Ew, Fw):
     """The plant as TOML text: every number in full, names as in the logs."""
     groups = {"x": (STATES, x0), "u": (INPUTS, u0), "y": (SENSORS, y0)}
-    lines = ["# Boeing 737 (JSBSim) in cruise, 20,000 ft and 300 kt calibrated.  Written by examples/airliner/record.py.",
+    lines = ["# Boeing 737 of JSBSim in cruise: 20,000 ft, 300 kt calibrated.  Written by examples/airliner/record.py.",
              "schema = 1", 'name   = "airliner, Boeing 737 in cruise"', "[signals]"]  # fmt: skip
     for key, (group, _) in groups.items():
         lines.append(f"{key} = [" + ", ".join(f'"{n} [{s[0]}]"' for n, s in group.items()) + "]")
@@ -357,11 +347,13 @@ def plant_file(x0, u0, y0, A, B, C, D, Ew, Fw):
               "[noise]", f"hold = {HOLD}", "sd   = " + toml_table(SENSORS, [s[2] for s in SENSORS.values()]),
               "[operating_point]"]  # fmt: skip
     lines += [f"{key} = " + toml_table(group, point) for key, (group, point) in groups.items()]
-    lines += ["[matrices]"] + [toml_matrix(k, M) for k, M in zip("ABCD", (A, B, C, D), strict=True)]
+    lines += ["[matrices]"]
+    for letter, M in zip("ABCD", (A, B, C, D), strict=True):
+        lines.append(f"{letter} = [" + ",\n     ".join(str(row) for row in M.tolist()) + "]")
     for j, (name, (unit, size)) in enumerate(GUSTS.items()):
         into = {s: v for s, v in zip(STATES, Ew[:, j], strict=True) if v}
         on = {s: v for s, v in zip(SENSORS, Fw[:, j], strict=True) if v}
-        lines += ["[[disturbance]]", f'name = "{name}"', f'unit = "{unit}"',
+        lines += ["[[disturbance]]", f'name = "{name}"  # {unit}',
                   "into = " + toml_table(into, into.values()), "on   = " + toml_table(on, on.values()),
                   f"size = {size}", 'role = "attenuate"']  # fmt: skip
     for name, size in FAULTS.items():
@@ -385,6 +377,7 @@ def small_doublets(folder, x0, u0, A, B):
 
 
 def named(group, values):
+    """Numbers by name, to three digits, for the provenance file."""
     return {name: float(f"{v:.3g}") for name, v in zip(group, values, strict=True)}
 
 
@@ -417,17 +410,18 @@ def write_all(folder, out):
         "simulator": "JSBSim, aircraft model 737", "jsbsim": version("jsbsim"), "python": platform.python_version(),
         "numpy": version("numpy"), "pyarrow": version("pyarrow"), "script": "examples/airliner/record.py",
         "log": {"sample_time_s": HOLD, "duration_s": DURATION, "simulator_step_s": STEP,
-                "manoeuvre": "3-2-1-1 and doublet on the elevator, doublets on aileron and rudder, steps of core speed"},
+                "manoeuvre": "elevator 3-2-1-1 and doublet, aileron and rudder doublets, steps of core speed"},
         "trim": {"altitude_ft": ALTITUDE_FT, "calibrated_airspeed_kt": CALIBRATED_KT,
                  "x0": named(STATES, x0), "u0": named(INPUTS, u0), "rate_at_trim": named(STATES, residual)},
         "linearisation": {"method": "central differences of the simulator, inertial states",
-                          "differs_from_FGLinearization": differences(fdm, A),
+                          "differs_from_FGLinearization": differences(fdm, x0, u0, A),
                           "error_after_small_doublets": small_doublets(folder, x0, u0, A, B)},
         "logs": logs,
     }  # fmt: skip
 
 
 def main():
+    """Record everything into the folder given by --out."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--out", type=Path, default=Path("src/faultrecon/data/airliner"))
     out = parser.parse_args().out

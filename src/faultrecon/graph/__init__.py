@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Nonlinear functions: stated once, then evaluated, differentiated, bounded and stored."""
+"""Equations stated once as expression graphs, and read many ways."""

@@ -43,7 +43,7 @@ def instructions(function: Any) -> tuple[tuple[Node, ...], tuple[int, ...]]:
         else:
             node = _operation(op, [register[i] for i in operands], number)
         register[results[0]] = node
-    return _used(nodes, [outputs[i] for i in sorted(outputs)])
+    return used(nodes, [outputs[i] for i in sorted(outputs)])
 
 
 def _operation(op: int, operands: list[int], number: Callable[[Node], int]) -> int:
@@ -60,7 +60,7 @@ def _operation(op: int, operands: list[int], number: Callable[[Node], int]) -> i
     return number((names[op], *operands))
 
 
-def _used(nodes: Sequence[Node], outputs: Sequence[int]) -> tuple[tuple[Node, ...], tuple[int, ...]]:
+def used(nodes: Sequence[Node], outputs: Sequence[int]) -> tuple[tuple[Node, ...], tuple[int, ...]]:
     """The nodes that some output needs, renumbered in order."""
     wanted = set(outputs)
     for i in reversed(range(len(nodes))):

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from faultrecon.finding import InputError
-from faultrecon.graph.extract import array_semantics, casadi_algebra, instructions, scalars
+from faultrecon.graph.extract import array_semantics, casadi_algebra, instructions, scalars, used
 from faultrecon.graph.parse import parse
 from faultrecon.graph.walk import OPERATIONS, Node, walk
 
@@ -172,6 +172,11 @@ class Graph:
             raise InputError(f"inputs {', '.join(self.inputs)} have {list(self.sizes)} components, not {shapes}")
         result = self.function(*arguments)
         return ca.SX(result) if isinstance(result, ca.DM) else result
+
+    def channel(self, i: int) -> Graph:
+        """Output i alone."""
+        nodes, outputs = used(self.nodes, [self.outputs[i]])
+        return Graph(self.inputs, nodes, outputs, self.texts[i : i + 1], self.constants)
 
     def jacobian(self, wrt: str) -> Jacobian:
         """The derivative of every output by every component of one input group."""

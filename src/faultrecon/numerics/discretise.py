@@ -49,8 +49,8 @@ def rk4_polynomial_limit(eigenvalues: ArrayLike) -> float:
     returned one, R(z) = 1 + z + z^2/2 + z^3/6 + z^4/24: 2.7853/|s| on the real axis, 2.8284/|s| next to the imaginary
     one.  inf when nothing decays.  The limit is for stability only; accuracy asks for less.
     """
-    s = np.atleast_1d(np.asarray(eigenvalues, dtype=complex))
-    s = s[np.real(s) < 0]
+    s = np.atleast_1d(np.asarray(eigenvalues)).astype(np.complex128)
+    s = s[s.real < 0]
     if s.size == 0:
         return np.inf
     speed = np.abs(s)
@@ -69,7 +69,8 @@ def rk4_polynomial_limit(eigenvalues: ArrayLike) -> float:
 def van_loan_covariance(A: ArrayLike, B: ArrayLike, W: ArrayLike, h: float) -> tuple[Array, Array]:
     """Ad = e^(A h), and the covariance that white noise of intensity W adds in h seconds.
 
-    The integral of e^(As) B W B' e^(A's) over 0..h; A: (n, n), B: (n, m), W: (m, m), noise squared times seconds.  Van Loan's block exponential over a
+    The integral of e^(As) B W B' e^(A's) over 0..h; A: (n, n), B: (n, m), W: (m, m), noise squared times seconds.
+    Van Loan's block exponential over a
     step short enough that e^(-A h) does not overflow, then doubled; the result is symmetric.
     """
     A, B = np.asarray(A, dtype=float), np.asarray(B, dtype=float)
@@ -118,7 +119,8 @@ def continuous_covariance(A: ArrayLike, B: ArrayLike, W: ArrayLike) -> Array:
     n = A.shape[0]
     if n == 0:
         return np.zeros((0, 0))
-    _demand_decay(np.real(np.linalg.eigvals(A)) < 0, "in time")
+    poles = np.asarray(np.linalg.eigvals(A), dtype=np.complex128)
+    _demand_decay(poles.real < 0, "in time")
     e = state_scaling(A, B, np.zeros((0, n)))
     a, b, _ = scale_states(A, B, np.zeros((0, n)), e)
     P = solve_continuous_lyapunov(a, -(b @ np.asarray(W, dtype=float) @ b.T))
@@ -165,7 +167,7 @@ def _rk4_growth(direction: Array) -> list[Array]:
     found = []
     for z in direction:
         R = taylor * z ** np.arange(5)
-        found.append(np.convolve(R, R.conj()).real[1:])
+        found.append(np.real(np.convolve(R, np.conj(R)))[1:])
     return found
 
 

@@ -19,7 +19,7 @@ from faultrecon.numerics.pencil import invariant_zeros
 from faultrecon.numerics.scaling import scale_states, spectral_norm, state_scaling
 
 Array = NDArray[Any]
-Complex = NDArray[Any]
+Complex = NDArray[np.complexfloating[Any, Any]]
 Gain = Callable[[Array], Array]
 
 ON_AXIS = 1e-6
@@ -41,10 +41,11 @@ def frequency_response(A: ArrayLike, B: ArrayLike, C: ArrayLike, D: ArrayLike, w
     """
     A, B, C, D = (np.asarray(M, dtype=float) for M in (A, B, C, D))
     w = np.atleast_1d(np.asarray(w, dtype=float))
-    G = np.broadcast_to(D.astype(complex), (w.size, *D.shape)).copy()
+    G = np.broadcast_to(D.astype(np.complex128), (w.size, *D.shape)).copy()
     finite = np.isfinite(w)
     if A.shape[0] and B.shape[1] and C.shape[0] and finite.any():
-        G[finite] += C @ _resolvent(A, B, w[finite])
+        with np.errstate(invalid="ignore", over="ignore"):
+            G[finite] += C @ _resolvent(A, B, w[finite])
     return G
 
 
@@ -59,11 +60,11 @@ def hinf_norm(A: ArrayLike, B: ArrayLike, C: ArrayLike, D: ArrayLike, *, rtol: f
         return Peak(0.0, 0.0)
     if A.shape[0] == 0:
         return Peak(spectral_norm(D), 0.0)
-    poles = np.linalg.eigvals(A)
+    A, B, C = scale_states(A, B, C, state_scaling(A, B, C))
+    poles = np.linalg.eigvals(A).astype(np.complex128)
     worst = poles[int(np.argmax(poles.real))]
     if worst.real >= 0:
         return Peak(np.inf, float(abs(worst.imag)))
-    A, B, C = scale_states(A, B, C, state_scaling(A, B, C))
 
     def gain(w: Array) -> Array:
         return np.linalg.norm(frequency_response(A, B, C, D, w), 2, axis=(1, 2))
@@ -85,12 +86,14 @@ def estimator_floor(
 ) -> Peak:
     """The gain from disturbance to fault error that no linear estimator of the faults can beat.
 
-    x' = A x + B w, healthy outputs y1 = C1 x + E1 w, faulty outputs y2 = C2 x + E2 w + f.  An estimator that passes f
-    with unit gain is y2 - K y1, and at each frequency the best K leaves |Y2 (I - Y1^+ Y1)|, Yi = Ci (jw-A)^-1 B + Ei; the
-    floor is its supremum over w.  A: (n, n), B: (n, l), C1: (p1, n), p1 may be 0 (then it is sup |Y2|), C2: (q, n).
+    x' = A x + B w, healthy outputs y1 = C1 x + E1 w, faulty outputs y2 = C2 x + E2 w + f.  An estimator that
+    passes f with unit gain is y2 - K y1; at each frequency the best K leaves |Y2 (I - Y1^+ Y1)|, with
+    Yi = Ci (jw-A)^-1 B + Ei, and the floor is the supremum over w.  A: (n, n), B: (n, l), C1: (p1, n), p1 may
+    be 0 (then it is sup |Y2|), C2: (q, n).
 
     The value is a lower bound, evaluated at the returned frequency; one at which rounding could inflate it by more than
-    1e-6 is left out (next to a pole on the imaginary axis, say).  Where the supremum is infinite the value is merely very large.
+    1e-6 is left out (next to a pole on the imaginary axis, say).  Where the supremum is infinite the
+    value is merely very large.
     """
     A, B, C1, E1, C2, E2 = (np.asarray(M, dtype=float) for M in (A, B, C1, E1, C2, E2))
     if B.shape[1] == 0 or C2.shape[0] == 0:
@@ -125,7 +128,7 @@ def estimator_floor(
         except (LinAlgError, ValueError):
             return np.zeros(0)
 
-    poles = np.linalg.eigvals(A)
+    poles = np.linalg.eigvals(A).astype(np.complex128)
     zeros = invariant_zeros(A, B, C1, E1)
     return _climb(gain, crossings, _grid(np.concatenate([poles, zeros]), 40), rtol)
 
@@ -135,7 +138,7 @@ def _resolvent(A: Array, B: Array, w: Array) -> Complex:
     n = A.shape[0]
     stack = 1j * w[:, None, None] * np.eye(n) - A
     try:
-        return np.linalg.solve(stack, np.broadcast_to(B.astype(complex), (w.size, *B.shape)))
+        return np.linalg.solve(stack, np.broadcast_to(B.astype(np.complex128), (w.size, *B.shape)))
     except np.linalg.LinAlgError:
         X = np.full((w.size, *B.shape), complex(np.inf), dtype=complex)
         for k in range(w.size):
@@ -158,8 +161,9 @@ def _sensitivity(A: Array, w: Array) -> Array:
 
 def _unexplained(Y1: Complex, Y2: Complex, rounding: Array) -> Array:
     """|Y2 (I - Y1^+ Y1)| at each frequency; 0 where it cannot be trusted to six digits."""
-    usable = np.isfinite(Y1).all(axis=(1, 2)) & np.isfinite(Y2).all(axis=(1, 2))
-    Y1, Y2 = np.where(usable[:, None, None], Y1, 0.0), np.where(usable[:, None, None], Y2, 0.0)
+    usable = np.asarray(np.all(np.isfinite(Y1), axis=(1, 2)) & np.all(np.isfinite(Y2), axis=(1, 2)))
+    trusted = usable[:, None, None]
+    Y1, Y2 = np.where(trusted, Y1, 0.0), np.where(trusted, Y2, 0.0)
     size = np.linalg.norm(Y2, 2, axis=(1, 2))
     if Y1.shape[1] == 0:
         return np.where(usable & (rounding < 1e-6), size, 0.0)
@@ -174,13 +178,12 @@ def _unexplained(Y1: Complex, Y2: Complex, rounding: Array) -> Array:
     return np.where(usable & (rounding * size / smallest < 1e-6 * value), value, 0.0)
 
 
-def _axis(eigenvalues: Complex) -> Array:
+def _axis(eigenvalues: Any) -> Array:
     """Frequencies of the eigenvalues on, or within rounding of, the imaginary axis."""
-    s = np.asarray(eigenvalues)
+    s = np.asarray(eigenvalues).astype(np.complex128)
     s = s[np.isfinite(s)]
-    return np.unique(
-        np.abs(s.imag[np.abs(s.real) <= ON_AXIS * np.maximum(np.abs(s), 1e-12 * np.abs(s).max(initial=0))])
-    )
+    reach = ON_AXIS * np.maximum(np.abs(s), 1e-12 * np.max(np.abs(s), initial=0.0))
+    return np.unique(np.abs(s.imag[np.abs(s.real) <= reach]))
 
 
 def _grid(points: Complex, per_decade: int) -> Array:

@@ -8,6 +8,7 @@ eps^(1/k), and a rank test there misses exactly the modes that matter.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -17,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 from faultrecon.numerics.scaling import scale_states, spectral_norm, state_scaling
 
 Array = NDArray[Any]
-Complex = NDArray[Any]
+Complex = NDArray[np.complexfloating[Any, Any]]
 
 RANK_TOLERANCE = 1e-11
 """Relative to the norm of the balanced model: 1e5 roundings above eps, far below anything typed by hand."""
@@ -28,7 +29,7 @@ class Mode:
     """A mode A v = s v and how far the sensors are from missing it.
 
     value: s in 1/s (or the multiplier per sample).  direction: v (n,), unit length, largest entry real and positive.
-    distance: smallest relative change of A and C that hides it exactly, sigma_min([(sI-A)/|A|; C/|C|]) in balanced units.
+    distance: smallest relative change of A and C that hides it exactly, sigma_min([(sI-A)/|A|; C/|C|]), balanced units.
     """
 
     value: complex
@@ -40,8 +41,8 @@ def unobservable_modes(A: ArrayLike, C: ArrayLike, *, tol: float = RANK_TOLERANC
     """Modes of A that no row of C can see, each with the state direction it lives in.
 
     A: (n, n), C: (p, n), p may be 0.  Returns every s with A v = s v and C v = 0 (PBH test, Hautus 1969), one Mode per
-    independent direction v, right-most first; a complex pair gives two.  Eigenvalues that rounding cannot tell apart are
-    replaced by their mean.  Measuring a state in other units (a power of two) changes only the units of the direction.
+    independent direction v, right-most first; a complex pair gives two.  Eigenvalues that rounding cannot tell apart
+    are replaced by their mean.  Measuring a state in other units changes only the units of the direction.
     """
     A, C, unit = _balanced(np.asarray(A, dtype=float), np.asarray(C, dtype=float))
     N = _unobservable_subspace(A, C, tol)
@@ -66,9 +67,9 @@ def undetectable_modes(A: ArrayLike, C: ArrayLike, *, sampled: bool = False, tol
 def detectability_margin(A: ArrayLike, C: ArrayLike, *, sampled: bool = False) -> float:
     """By how small a relative change of the model a mode that does not decay could hide from the sensors.
 
-    The smallest value found of sigma_min([(sI - A)/|A|; C/|C|]), in balanced units, over s with Re s >= 0 (|s| >= 1 when
-    `sampled`): candidates are the boundary, searched on a grid, and the eigenvalues of A moved into the region, the best
-    few followed downhill.  Zero: undetectable.  1e-6: holds by a hair.  It is an upper bound of the true distance.
+    The smallest value found of sigma_min([(sI - A)/|A|; C/|C|]), in balanced units, over s with Re s >= 0 (|s| >= 1
+    when `sampled`): candidates are the boundary, searched on a grid, and the eigenvalues of A moved into the region,
+    the best few followed downhill.  Zero: undetectable.  1e-6: holds by a hair.  An upper bound of the distance.
     """
     A, C, _ = _balanced(np.asarray(A, dtype=float), np.asarray(C, dtype=float))
     if A.shape[0] == 0:
@@ -79,7 +80,7 @@ def detectability_margin(A: ArrayLike, C: ArrayLike, *, sampled: bool = False) -
             return s * np.maximum(1.0, 1.0 / np.maximum(np.abs(s), 1e-300))
         return np.maximum(s.real, 0.0) + 1j * s.imag
 
-    poles = np.linalg.eigvals(A).astype(complex)
+    poles = np.linalg.eigvals(A).astype(np.complex128)
     radius = max(spectral_norm(A), 1e-300)
     if sampled:
         boundary = np.exp(1j * np.linspace(0.0, np.pi, 121))
@@ -89,7 +90,7 @@ def detectability_margin(A: ArrayLike, C: ArrayLike, *, sampled: bool = False) -
     s = inside(np.concatenate([poles[poles.imag >= 0], 1j * np.abs(poles.imag) if not sampled else [], boundary]))
     value = _smallest_singular(A, C, s)
     best = np.argsort(value)[:4]
-    return float(min(_downhill(A, C, s[k], value[k], inside) for k in best))
+    return float(min(_downhill(A, C, complex(s[k]), float(value[k]), inside) for k in best))
 
 
 def invariant_zeros(A: ArrayLike, B: ArrayLike, C: ArrayLike, D: ArrayLike, *, tol: float = RANK_TOLERANCE) -> Complex:
@@ -153,7 +154,7 @@ def _eigendirections(A: Array) -> list[tuple[complex, Complex]]:
         return []
     from scipy.linalg import eig
 
-    values, left, right = eig(A, left=True, right=True)
+    values, left, right = (np.asarray(M) for M in eig(A, left=True, right=True))
     cosine = np.abs(np.sum(left.conj() * right, axis=0))
     # eps |A| / cosine bounds the error of a simple eigenvalue, and for a split Jordan block it is the splitting.
     size = max(spectral_norm(A), np.finfo(float).tiny)
@@ -201,7 +202,7 @@ def _smallest_singular(A: Array, C: Array, s: Complex) -> Array:
     return np.linalg.svd(stack, compute_uv=False)[:, -1]
 
 
-def _downhill(A: Array, C: Array, s: complex, value: float, inside) -> float:
+def _downhill(A: Array, C: Array, s: complex, value: float, inside: Callable[[Any], Any]) -> float:
     """Compass search for a local minimum of the smallest singular value inside the region."""
     compass = np.array([1, -1, 1j, -1j])
     step = 0.1 * max(abs(s), 1e-3 * max(spectral_norm(A), 1e-300))
@@ -275,7 +276,7 @@ def _confirmed_zeros(model: tuple[Array, Array, Array, Array], s: Complex) -> Co
         stack[:, :n] /= size[:, None, None]
         return np.linalg.svd(stack, compute_uv=False)
 
-    generic = singular(scale * np.array([0.8147 + 0.9058j, -0.6324 + 0.0975j]))
+    generic = singular(np.array([0.8147 + 0.9058j, -0.6324 + 0.0975j], dtype=np.complex128) * scale)
     rank = int(np.max(np.count_nonzero(generic > 1e-10, axis=1)))
     if rank == 0 or s.size == 0:
         return np.zeros(0, dtype=complex)

@@ -128,6 +128,28 @@ class Plant:
         """Counted disturbances onto the measurements, (p, l), per physical unit."""
         return _columns(self.signals.y, [d.on for d in self.attenuated])
 
+    @cached_property
+    def G(self) -> Array:
+        """The nonlinear terms into the states, (n, r); no columns for a linear plant."""
+        return np.zeros((self.n, 0)) if self.nonlinearity is None else self.nonlinearity.into
+
+    @cached_property
+    def H(self) -> Array:
+        """What the nonlinear terms read, (s, n); no rows for a linear plant."""
+        if self.nonlinearity is None:
+            return np.zeros((0, self.n))
+        return self.nonlinearity.selection(self.signals.x)
+
+    def letters(self) -> dict[str, Array]:
+        """Every matrix of the plant by its letter; W and V are diagonal: size of each counted disturbance, 1/size of
+        each fault; α is the Lipschitz constant (1, 1)."""
+        return {
+            **{k: getattr(self, k) for k in ("A", "B", "C", "D", "E_w", "F_w", "E_f", "F_f", "G", "H")},
+            "W": np.diag([d.size for d in self.attenuated]).reshape(len(self.attenuated), -1),
+            "V": np.diag([1.0 / f.size for f in self.faults]).reshape(len(self.faults), -1),
+            "α": np.array([[0.0 if self.nonlinearity is None else self.nonlinearity.constant]]),
+        }
+
     # ------------------------------------------------------------ derived plants
 
     def with_faults(self, names: Sequence[str]) -> Plant:
@@ -160,7 +182,7 @@ class Plant:
         return {
             "name": self.name,
             "signals": {g: _group(getattr(self.signals, g)) for g in ("x", "u", "y")},
-            "matrices": {k: exact_matrix(getattr(self, k)) for k in ("A", "B", "C", "D", "E_w", "F_w", "E_f", "F_f")},
+            "matrices": {k: exact_matrix(v) for k, v in self.letters().items()},
             "faults": [
                 {"name": f.name, "on": _hexed(f.on), "site": f.site, "effect": f.effect}
                 | {"size": float(f.size).hex(), "rate": float(f.rate).hex()}

@@ -1,0 +1,79 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Whether the faults of a plant can be reconstructed at all, and if not, why not."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from faultrecon.finding import Finding
+from faultrecon.numerics.annihilator import annihilator, column_rank
+from faultrecon.numerics.pencil import Mode, detectability_margin, undetectable_modes
+from faultrecon.plant.plant import Plant
+
+HAIR = 1e-6
+"""Distance to undetectability, relative to the model, below which model errors of a part in a million decide."""
+
+
+def fault_findings(plant: Plant) -> list[Finding]:
+    """What the fault channels alone rule out: none declared, or indistinguishable from each other."""
+    if not plant.faults:
+        return [Finding(f"{plant.name} declares no fault", remedies=("add a [[fault]] table to the plant file",))]
+    sensor = [f for f in plant.faults if f.site == "sensor"]
+    F = plant.F_f[:, [f.site == "sensor" for f in plant.faults]]
+    rank = column_rank(F)
+    if rank == len(sensor):
+        return []
+    weights = np.abs(np.linalg.svd(F / np.linalg.norm(F, axis=0))[2][-1])
+    names = [f.name for f, weight in zip(sensor, weights, strict=True) if weight > 1e-6]
+    return [
+        Finding(
+            f"the fault matrix F has rank {rank} for {len(sensor)} sensor faults",
+            why=f"{' and '.join(names)} move the measurements in one direction, so their sizes cannot be told apart",
+            evidence={"rank": rank, "faults": len(sensor), "sensors": plant.p},
+            remedies=("reconstruct one of them at a time (faults=[...])", "add a sensor that only one of them reaches"),
+            see="Khosrowjerdi 2011, (2.2): F of full column rank",
+        )
+    ]
+
+
+def detectability_findings(plant: Plant) -> list[Finding]:
+    """Whether the sensors that stay healthy see every mode that does not decay by itself."""
+    N = annihilator(plant.F_f)
+    C1 = N @ plant.C
+    modes = undetectable_modes(plant.A, C1, sampled=plant.sample_time is not None)
+    if modes:
+        return [_undetectable(plant, mode, N.shape[0]) for mode in modes if mode.value.imag >= 0]
+    margin = detectability_margin(plant.A, C1, sampled=plant.sample_time is not None) if C1.shape[0] else np.inf
+    if margin < HAIR:
+        return [
+            Finding(
+                f"the healthy sensors detect every mode of {plant.name} by a hair",
+                why=f"a relative change of {margin:.1e} in A and C would hide one",
+                evidence={"distance": margin},
+                remedies=("add a sensor", "check the model where it is weakest"),
+                severity="warning",
+            )
+        ]
+    return []
+
+
+def _undetectable(plant: Plant, mode: Mode, healthy: int) -> Finding:
+    weight = np.abs(mode.direction)
+    states = [plant.signals.x.names[i] for i in np.argsort(-weight) if weight[i] > 0.1 * weight.max()][:3]
+    s = f"{mode.value.real:.4g}" + (f" ± {mode.value.imag:.4g}j" if mode.value.imag else "")
+    if healthy == 0:
+        what = "no sensor stays healthy and the plant does not settle by itself"
+        why = f"its mode at s = {s} does not decay"
+    else:
+        what = f"the healthy sensors do not see the mode at s = {s}, which does not decay"
+        why = f"(A, C1) is not detectable; the mode lives in {', '.join(states)}"
+    return Finding(
+        what,
+        why=why,
+        evidence={"mode": [mode.value.real, mode.value.imag], "states": states},
+        remedies=(
+            f"add a healthy sensor that reads {states[0]}",
+            "declare fewer faults at a time (faults=[...])",
+        ),
+        see="assumption (A, C1) detectable, Khosrowjerdi 2011, section 2",
+    )

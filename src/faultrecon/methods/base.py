@@ -1,0 +1,176 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""What a method is: a paper's notation, assumptions, theorem, observer and reproductions.
+
+A method file writes its inequality in the paper's letters and says how the gains that ship enter it again; everything
+else (solving, backing off, rounding, proving, running, documenting) reads from that.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, ClassVar, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from faultrecon.finding import Finding
+from faultrecon.graph.observer import CopiedTerm, NonlinearTerm, Observer
+from faultrecon.lmi.expr import Expr, Inequality, given
+from faultrecon.plant.plant import Plant
+
+Status = Literal["as_printed", "with_change", "not_as_printed", "re_derived"]
+
+
+@dataclass(frozen=True)
+class Paper:
+    """A reference, enough to cite."""
+
+    key: str
+    authors: str
+    year: int
+    title: str
+    venue: str
+    doi: str = ""
+
+    def __str__(self) -> str:
+        doi = f" doi:{self.doi}" if self.doi else ""
+        return f"{self.authors} ({self.year}). {self.title}. {self.venue}.{doi}"
+
+
+@dataclass(frozen=True)
+class Reproduction:
+    """One printed number of a paper beside what this code computes for it.
+
+    plant: library name.  options: passed to `synthesis.optimum`.  printed: the paper's value, None if it prints none.
+    expected: our reference value with its relative tolerance.  status and reason: what holds, said plainly.
+    """
+
+    item: str
+    plant: str
+    printed: float | None
+    expected: float
+    rtol: float
+    status: Status
+    reason: str
+    options: Mapping[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Identity:
+    """A matrix that has to vanish for the claim to hold; entries up to `tolerance` are rounding of stored data."""
+
+    label: str
+    expr: Expr
+    tolerance: float = 0.0
+
+
+@dataclass(frozen=True)
+class Assumed:
+    """A premise that this certificate does not prove."""
+
+    label: str
+    text: str
+    verdict: Literal["assumed", "checked", "proved"] = "assumed"
+
+
+@dataclass(frozen=True, eq=False)
+class Theorem:
+    """A theorem as a semidefinite program, and how to prove it for the gains that ship.
+
+    minimise: (1, 1) expression of the squared level.  gains: unknown that ships -> its formula.  prove_with: unknown
+    of the program -> its expression in the gains that ship, substituted before the proof.  lyapunov P, drift P (A - L C1),
+    readout H1 and noise (P L times sensor noise, one column per unit white source) serve the second criterion.
+    """
+
+    number: str
+    inequalities: Sequence[Inequality]
+    minimise: Expr
+    gains: Mapping[Expr, Expr]
+    prove_with: Mapping[Expr, Expr]
+    claim: str
+    scope: str
+    lyapunov: Expr
+    drift: Expr
+    readout: Expr
+    noise: Expr
+    identities: Sequence[Identity] = ()
+    premises: Sequence[Assumed] = ()
+    fixed: Mapping[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Scaling:
+    """Units in which the numbers are near one: exponents of two per state (n,) and per healthy output (p1,)."""
+
+    state: NDArray[np.int64]
+    output: NDArray[np.int64]
+
+
+@dataclass(frozen=True, eq=False)
+class Letters:
+    """The plant's matrices as letters of a statement, and its state in scaled units x = T x_s."""
+
+    plant: Plant
+    T: Expr
+    Ti: Expr
+    R: Expr
+    Ri: Expr
+
+    def __getitem__(self, name: str) -> Expr:
+        return given(f"plant.{name}", self.plant.letters()[name])
+
+
+def letters(plant: Plant, scaling: Scaling) -> Letters:
+    """The plant's letters beside the scaling of its states (T) and of its healthy outputs (R)."""
+    t, r = np.exp2(scaling.state.astype(float)), np.exp2(scaling.output.astype(float))
+    return Letters(
+        plant,
+        given("T", np.diag(t)),
+        given("T⁻¹", np.diag(1 / t)),
+        given("R", np.diag(r).reshape(len(r), -1)),
+        given("R⁻¹", np.diag(1 / r).reshape(len(r), -1)),
+    )
+
+
+def deviations(plant: Plant) -> dict[str, Any]:
+    """The operating point and the nonlinear parts of an observer whose state is x̂ - x0."""
+    point = {k: np.array(getattr(plant.point, k[0])) for k in ("x0", "u0", "y0")}
+    term, known = plant.nonlinearity, plant.known
+    nonlinear = copied = None
+    if term is not None:
+        lower, upper = term.limits
+        H = term.selection(plant.signals.x)
+        nonlinear = NonlinearTerm(term.into, H, H @ point["x0"], lower, upper, term.phi)
+    if known is not None:
+        copied = CopiedTerm(known.into, known.g)
+    return {**point, "nonlinear": nonlinear, "copied": copied}
+
+
+class Method(ABC):
+    """A published method.  Subclasses are found by scanning `faultrecon.methods` and the entry-point group."""
+
+    name: ClassVar[str]
+    summary: ClassVar[str]
+    paper: ClassVar[Paper]
+    baseline: ClassVar[bool] = False
+    variant_of: ClassVar[str | None] = None
+    reproductions: ClassVar[Sequence[Reproduction]] = ()
+
+    @abstractmethod
+    def assumptions(self, plant: Plant) -> list[Finding]:
+        """What the plant violates of the paper's assumptions, by the paper's names; fatal ones forbid a design."""
+
+    @abstractmethod
+    def theorem(self, plant: Plant, scaling: Scaling) -> Theorem:
+        """The theorem for this plant."""
+
+    @abstractmethod
+    def observer(self, plant: Plant, gains: Mapping[str, NDArray[np.float64]]) -> Observer:
+        """The executable equations with these gains."""
+
+    def gains_without_proof(self, plant: Plant) -> dict[str, NDArray[np.float64]] | None:
+        """Gains that need no theorem to be run (a baseline's), or None."""
+        return None
+

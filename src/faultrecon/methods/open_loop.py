@@ -1,0 +1,100 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""The baseline that corrects nothing: a copy of the plant runs beside it, f̂ is what the faulty sensor shows beyond it.
+
+Every design should beat it, and under measurement noise not every design does.  It is also what the state estimate of a
+descriptor observer amounts to when noise and faults reach all outputs [Khosrowjerdi 2011, section 4].
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+
+from faultrecon.diagnosis.existence import fault_findings
+from faultrecon.finding import Finding
+from faultrecon.graph.observer import Observer
+from faultrecon.lmi.expr import I, __, given, let, sym, unknown
+from faultrecon.methods.base import Assumed, Identity, Method, Paper, Scaling, Theorem, deviations, letters
+from faultrecon.numerics.annihilator import left_inverse
+from faultrecon.plant.plant import Plant
+
+
+class OpenLoop(Method):
+    """L = 0 and K = F⁺: certified exactly when the plant itself forgets its state fast enough for its nonlinearity."""
+
+    name = "open-loop"
+    summary = "baseline: model in parallel, no correction (L = 0); certified for stable plants only"
+    baseline = True
+    paper = Paper(
+        "khosrowjerdi2011",
+        "Khosrowjerdi, M. J.",
+        2011,
+        "Robust sensor fault reconstruction for Lipschitz nonlinear systems",
+        "Mathematical Problems in Engineering 2011, 146038",
+        "10.1155/2011/146038",
+    )
+
+    def assumptions(self, plant: Plant) -> list[Finding]:
+        """F of full column rank on the sensors; a plant without unstable or undamped modes."""
+        found = fault_findings(plant)
+        if found:
+            return found
+        slowest = float(np.linalg.eigvals(plant.A).real.max())
+        if slowest >= 0:
+            return [
+                Finding(
+                    "the open loop forgets nothing",
+                    why=f"A has an eigenvalue with real part {slowest:.3g}, so an initial error never decays",
+                    evidence={"real part": slowest},
+                    remedies=("use a method with feedback, for example lipschitz-hinf",),
+                    see="Khosrowjerdi 2011, section 4",
+                )
+            ]
+        return []
+
+    # fmt: off
+    def theorem(self, plant: Plant, scaling: Scaling) -> Theorem:
+        """The bounded-real inequality of the error system with L = 0: the S-procedure term is that of (3.2)."""
+        n, q, own = plant.n, len(plant.faults), letters(plant, scaling)
+        s, T, Ti = own, own.T, own.Ti
+        Fp = given("F⁺", left_inverse(plant.F_f))
+        A,  Bφ = let("A", Ti@s["A"]@T),         let("B_φ", Ti@s["G"])
+        Hφ, B  = let("H_φ", s["H"]@T),          let("B", Ti@s["E_w"]@s["W"])
+        H1, H2 = let("H₁", -(s["V"]@Fp@s["C"]@T)), let("H₂", -(s["V"]@Fp@s["F_w"]@s["W"]))
+        α      = s["α"]
+        P, β, γ2, γ = unknown("P", n, n, symmetric=True), unknown("β"), unknown("γ²"), unknown("γ")
+        lmi = sym([[ A.T@P + P@A + β*α**2*(Hφ.T@Hφ), P@Bφ            ,  P@B               ,  H1.T ],
+                   [ __                            , -β*I(Bφ.shape[1]),  0                 ,  0    ],
+                   [ __                            , __              , -γ2*I(B.shape[1])  ,  H2.T ],
+                   [ __                            , __              , __                 , -I(q) ]]) < 0
+        return Theorem(
+            "bounded real, L = 0",
+            [lmi.tagged("bounded real"), (P > 0).tagged("P > 0"), (β > 0).tagged("β > 0")],
+            minimise=γ2, gains={}, prove_with={γ2: γ*γ},
+            lyapunov=P, drift=P@A, readout=H1, noise=P@given("no noise", np.zeros((n, 0))),
+            identities=[Identity("T T⁻¹ = I", T@Ti - I(n)), Identity("F⁺ F = I", Fp@s["F_f"] - I(q), 2.0**-40)],
+            premises=[Assumed("model", "the plant is the model")],
+            claim="∫|f - f̂|² dt ≤ γ² ∫|w|² dt + V(e(0)) on every horizon, in declared sizes",
+            scope="covers the continuous-time error system in exact arithmetic; no feedback corrects the state",
+        )
+    # fmt: on
+
+    def gains_without_proof(self, plant: Plant) -> dict[str, NDArray[np.float64]] | None:
+        """There is nothing to choose."""
+        return {}
+
+    def observer(self, plant: Plant, gains: Mapping[str, NDArray[np.float64]]) -> Observer:
+        """x̂ follows the model; f̂ = F⁺ (y - C x̂ - D u)."""
+        Fp, n, (p, m) = left_inverse(plant.F_f), plant.n, plant.D.shape
+        return Observer(
+            A=plant.A,
+            B=np.hstack([plant.B, np.zeros((n, p))]),
+            Cx=np.eye(n),
+            Dx=np.zeros((n, m + p)),
+            Cf=-Fp @ plant.C,
+            Df=np.hstack([-Fp @ plant.D, Fp]),
+            F=plant.F_f,
+            **deviations(plant),
+        )
