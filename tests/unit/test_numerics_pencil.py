@@ -6,7 +6,7 @@ from __future__ import annotations
 import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy.linalg import block_diag, qr
+from scipy.linalg import qr
 
 from faultrecon.numerics.pencil import detectability_margin, invariant_zeros, undetectable_modes, unobservable_modes
 
@@ -77,7 +77,7 @@ def test_a_hidden_double_integrator_is_one_undetectable_direction_at_exactly_zer
 
 
 def test_a_slow_hidden_mode_is_detectable_and_a_growing_one_is_not() -> None:
-    A = block_diag(-1.0, -1e-5)
+    A = np.diag([-1.0, -1e-5])
     C = np.array([[1.0, 0.0]])
     assert len(unobservable_modes(A, C)) == 1
     assert undetectable_modes(A, C) == []

@@ -11,8 +11,10 @@ from hypothesis import strategies as st
 from faultrecon.finding import InputError
 from faultrecon.numerics.scaling import scale_states, state_scaling
 
+Model = tuple[np.ndarray, np.ndarray, np.ndarray]
 
-def model(seed: int, n: int = 5) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+
+def model(seed: int, n: int = 5) -> Model:
     rng = np.random.default_rng(seed)
     A = rng.normal(size=(n, n)) * (rng.random((n, n)) < 0.6)
     return A, rng.normal(size=(n, 2)), rng.normal(size=(1, n)) * (rng.random((1, n)) < 0.5)
@@ -54,7 +56,7 @@ def test_scaling_loses_no_bit() -> None:
 @settings(max_examples=40, deadline=None)
 @given(st.integers(0, 10_000), st.lists(st.integers(-18, 18), min_size=6, max_size=6))
 def test_badly_chosen_units_are_mended(seed: int, k: list[int]) -> None:
-    """Whatever the units, the balanced model is no larger than the one it was made from (rounded exponents: factor 4)."""
+    """The balanced model is no larger than the one the bad units were applied to (rounded exponents: factor 4)."""
     rng = np.random.default_rng(seed)
     good = rng.uniform(0.5, 2, size=(6, 6)), rng.uniform(0.5, 2, size=(6, 1)), rng.uniform(0.5, 2, size=(1, 6))
     bad = in_units(good, k)
@@ -66,8 +68,8 @@ def test_a_triangular_chain_does_not_drift_without_bound() -> None:
     n = 12
     A = np.triu(np.ones((n, n)))
     e = state_scaling(A, np.zeros((n, 0)), np.zeros((0, n)))
-    # Nothing links the first state back to the last: plain balancing would drive the ends apart for ever.
-    assert np.ptp(e) <= 20
+    # Nothing links the first state back to the last: plain balancing would drive the ends apart for ever; 2^-3 a link is enough.
+    assert np.ptp(e) <= 3 * (n - 1)
 
 
 def test_states_linked_to_nothing_are_left_alone() -> None:

@@ -36,6 +36,19 @@ def fault_findings(plant: Plant) -> list[Finding]:
     ]
 
 
+def disturbance_findings(plant: Plant) -> list[Finding]:
+    """A level needs something to be measured against."""
+    if plant.attenuated:
+        return []
+    return [
+        Finding(
+            f"{plant.name} declares no disturbance to attenuate",
+            why="a guaranteed level compares the reconstruction error with disturbances, and every gain would do",
+            remedies=("declare what disturbs the plant and the noise of its sensors as [[disturbance]] tables",),
+        )
+    ]
+
+
 def detectability_findings(plant: Plant) -> list[Finding]:
     """Whether the sensors that stay healthy see every mode that does not decay by itself."""
     N = annihilator(plant.F_f)

@@ -15,7 +15,7 @@ import numpy as np
 
 from faultrecon.finding import InputError
 from faultrecon.graph.function import Graph
-from faultrecon.graph.interval import Array, Failure, Interval, IntervalAlgebra, require_ieee
+from faultrecon.graph.interval import Array, Failure, Interval, IntervalAlgebra, Mask, require_ieee
 from faultrecon.graph.slopes import Slope, SlopeAlgebra
 from faultrecon.graph.spectral import norm_above, norm_below
 from faultrecon.graph.walk import walk
@@ -24,6 +24,7 @@ from faultrecon.graph.walk import walk
 Box = Sequence[tuple[float, float]] | Array
 
 _BATCH = 256  # boxes split at once: enough to hide NumPy's overhead, few enough not to split what need not be
+_KINKS = 5  # so many abs, min and max open at once are worth trying all their pieces (2**5 evaluations)
 _NARROWEST = 2.0**-40  # of the width asked for; a box this narrow that is still unbounded holds a true singularity
 
 
@@ -104,10 +105,8 @@ class _Search:
 
     def __init__(self, graph: Graph, wrt: str, low: Array, high: Array) -> None:
         self.graph, self.wrt, self.low, self.high = graph, wrt, low, high
-        used = {tuple(node[1:]) for node in graph.jacobian(wrt).graph.nodes if node[0] == "input"}
-        places = [(g, c) for g, size in enumerate(graph.sizes) for c in range(size)]
-        # Halving a direction on which no derivative depends would double the work for nothing.
-        self.axes = [i for i, place in enumerate(places) if place in used and high[i] > low[i]]
+        self.all_axes = [i for i in range(low.size) if high[i] > low[i]]
+        self.axes = _curved(graph, wrt, self.all_axes)
         self.best, self.at, self.boxes = 0.0, tuple(map(float, (low + high) / 2.0)), 0
 
     def run(self, rtol: float, budget: int) -> LipschitzBound:
@@ -122,11 +121,12 @@ class _Search:
             settled = max(settled, float(above[~open_boxes].max(initial=0.0)))
             low, high, above = low[:, open_boxes], high[:, open_boxes], above[open_boxes]
             value = max(settled, float(above.max(initial=0.0)))
-            if not above.size or not self.axes or self.boxes + 2 > budget:
+            axes = self.axes if math.isfinite(value) else self.all_axes
+            if not above.size or not axes or self.boxes + 2 > budget:
                 break
             chosen = np.zeros(above.size, dtype=bool)
             chosen[np.argsort(-above, kind="stable")[: min(_BATCH, (budget - self.boxes) // 2)]] = True
-            new_low, new_high = self._halves(low[:, chosen], high[:, chosen])
+            new_low, new_high = self._halves(axes, low[:, chosen], high[:, chosen])
             new_above = np.minimum(self._above(new_low, new_high), np.tile(above[chosen], 2))
             low, high = np.hstack([low[:, ~chosen], new_low]), np.hstack([high[:, ~chosen], new_high])
             above = np.concatenate([above[~chosen], new_above])
@@ -135,19 +135,21 @@ class _Search:
             self._refuse(low[:, [worst]], high[:, [worst]])
         return LipschitzBound(value, self.best, self.boxes, value <= target, self.at)
 
-    def _halves(self, low: Array, high: Array) -> tuple[Array, Array]:
-        """Each box cut in two across its widest side, sides being measured by those of the whole box."""
-        width = (high - low)[self.axes] / (self.high - self.low)[self.axes, None]
-        axis, columns = np.asarray(self.axes)[width.argmax(axis=0)], np.arange(low.shape[1])
+    def _halves(self, axes: Sequence[int], low: Array, high: Array) -> tuple[Array, Array]:
+        """Each box cut in two across the widest of these axes, sides being measured by those of the whole box."""
+        width = (high - low)[axes] / (self.high - self.low)[axes, None]
+        axis, columns = np.asarray(axes)[width.argmax(axis=0)], np.arange(low.shape[1])
         middle = low + 0.5 * (high - low)
         cut = middle[axis, columns]
         left, right = high.copy(), low.copy()
         left[axis, columns] = right[axis, columns] = cut
         return np.hstack([low, right]), np.hstack([left, high])
 
-    def _slopes(self, low: Array, high: Array) -> tuple[Interval, list[Failure]]:
-        """Enclosed Jacobians (N, m, k) over N boxes (d, N)."""
-        algebra = SlopeAlgebra()
+    def _slopes(
+        self, low: Array, high: Array, choices: Mapping[int, bool] | None = None
+    ) -> tuple[Interval, SlopeAlgebra]:
+        """Enclosed Jacobians (N, m, k) over N boxes (d, N), and what the algebra noted on the way."""
+        algebra = SlopeAlgebra(choices=choices or {})
         width = low.shape[1]
         unit = np.eye(len(self.graph.inputs[self.wrt]))[:, :, None]
         inputs: list[list[Slope]] = []
@@ -167,13 +169,13 @@ class _Search:
             for by in [y.by or Interval.point(0.0)]
         ]
         stacked = np.array(ends).transpose(1, 3, 0, 2)
-        return Interval(stacked[0], stacked[1]), algebra.of.failures
+        return Interval(stacked[0], stacked[1]), algebra
 
     def _above(self, low: Array, high: Array) -> Array:
         """Upper bounds over N boxes; their midpoints are sampled on the way."""
         self.boxes += low.shape[1]
-        slopes, _ = self._slopes(low, high)
-        above = norm_above(slopes)
+        slopes, algebra = self._slopes(low, high)
+        above = self._by_pieces(low, high, norm_above(slopes), algebra.open)
         self._sample(low + 0.5 * (high - low))
         stuck = np.isinf(above) & (high - low <= _NARROWEST * (self.high - self.low)[:, None]).all(axis=0)
         if stuck.any():
@@ -181,21 +183,37 @@ class _Search:
             self._refuse(low[:, [worst]], high[:, [worst]])
         return above
 
+    def _by_pieces(self, low: Array, high: Array, above: Array, undecided: Sequence[Mask]) -> Array:
+        """Better bounds for boxes that hold kinks: the worst over the pieces on either side, not over their hull."""
+        kinks = [i for i, where in enumerate(undecided) if where.any()]
+        if not 0 < len(kinks) <= _KINKS:
+            return above
+        some = np.logical_or.reduce([np.broadcast_to(undecided[i], above.shape) for i in kinks])
+        worst = np.zeros(int(some.sum()))
+        for sides in product((True, False), repeat=len(kinks)):
+            slopes, _ = self._slopes(low[:, some], high[:, some], dict(zip(kinks, sides, strict=True)))
+            worst = np.maximum(worst, norm_above(slopes))
+        better = above.copy()
+        better[some] = np.minimum(above[some], worst)
+        return better
+
     def _sample(self, points: Array) -> None:
         """Slopes at points (d, N); where there is none at a point, no box around it can be bounded."""
-        slopes, failures = self._slopes(points, points)
+        slopes, _ = self._slopes(points, points)
         steep = norm_below(slopes)
         broken = ~np.isfinite(slopes.lo).all(axis=(1, 2)) | ~np.isfinite(slopes.hi).all(axis=(1, 2))
         if broken.any():
             j = int(np.argmax(broken))
-            raise _undefined(self.graph, failures, j, points, points, f"no Lipschitz constant in '{self.wrt}'")
+            raise _undefined(
+                self.graph, algebra.of.failures, j, points, points, f"no Lipschitz constant in '{self.wrt}'"
+            )
         j = int(np.argmax(steep))
         if steep[j] > self.best:
             self.best, self.at = float(steep[j]), tuple(map(float, points[:, j]))
 
     def _refuse(self, low: Array, high: Array) -> None:
-        _, failures = self._slopes(low, high)
-        raise _undefined(self.graph, failures, 0, low, high, f"no Lipschitz constant in '{self.wrt}'")
+        _, algebra = self._slopes(low, high)
+        raise _undefined(self.graph, algebra.of.failures, 0, low, high, f"no Lipschitz constant in '{self.wrt}'")
 
     def _vertices(self) -> Array:
         """Corners of the box, 64 at most: slopes are often greatest there."""
@@ -242,11 +260,23 @@ def _undefined(graph: Graph, failures: Sequence[Failure], j: int, low: Array, hi
             ends = (np.broadcast_to(end, low.shape[1:])[j] for end in (failure.argument.lo, failure.argument.hi))
             return InputError(
                 f"{what} on {box}",
-                why=f"{failure.what} in [{', '.join(f'{end:.6g}' for end in ends)}]",
+                why=f"{failure.what} (its argument is in [{', '.join(f'{end:.6g}' for end in ends)}])",
                 remedies=("shrink the box", "write the formula so that it is defined and Lipschitz there"),
             )
     return InputError(f"{what} on {box}", why="a derivative overflows", remedies=("shrink the box",))
 
 
 def _place(name: str, low: float, high: float) -> str:
-    return f"{name} = {low:.9g}" if low == high else f"{name} in [{low:.9g}, {high:.9g}]"
+    a, b = f"{low:.9g}", f"{high:.9g}"
+    return f"{name} = {a}" if a == b else f"{name} in [{a}, {b}]"
+
+
+def _curved(graph: Graph, wrt: str, axes: Sequence[int]) -> list[int]:
+    """Those axes on which some derivative depends; halving another would double the work for nothing."""
+    try:
+        nodes = graph.jacobian(wrt).graph.nodes
+    except InputError:  # a derivative that cannot be written down, such as one with an infinite constant
+        return list(axes)
+    used = {node[1:] for node in nodes if node[0] == "input"}
+    places = [(g, c) for g, size in enumerate(graph.sizes) for c in range(size)]
+    return [i for i in axes if places[i] in used]

@@ -198,7 +198,7 @@ class IntervalAlgebra:
         return _corners(a, b, _product_down)
 
     def div(self, a: Interval, b: Interval) -> Interval:
-        b = self.refuse("a division: its divisor contains 0", (b.lo <= 0.0) & (b.hi >= 0.0), b)
+        b = self.refuse("division by a number that may be 0", (b.lo <= 0.0) & (b.hi >= 0.0), b)
         return _corners(a, b, _quotient_down)
 
     def sq(self, a: Interval) -> Interval:
@@ -206,7 +206,7 @@ class IntervalAlgebra:
         return Interval(_product_down(m.lo, m.lo), -_product_down(-m.hi, m.hi))
 
     def sqrt(self, a: Interval) -> Interval:
-        a = self.refuse("sqrt: its argument may be negative", a.lo < 0.0, a)
+        a = self.refuse("sqrt of a number that may be negative", a.lo < 0.0, a)
         low, high = np.sqrt(a.lo), np.sqrt(a.hi)
         low = np.where((low == 0.0) | (low == 1.0), low, np.nextafter(low, -np.inf))
         return Interval(low, np.where((a.hi == 0.0) | (a.hi == 1.0), high, np.nextafter(high, np.inf)))
@@ -218,7 +218,7 @@ class IntervalAlgebra:
         p = b.lo.flat[0]
         if (b.lo == p).all() and (b.hi == p).all():
             return self._power(a, float(p))
-        a = self.refuse("pow: its base may be 0 or negative and its exponent varies", a.lo <= 0.0, a)
+        a = self.refuse("pow, with a varying exponent, of a base that may be 0 or negative", a.lo <= 0.0, a)
         return self.exp(self.mul(b, self.log(a)))
 
     def _power(self, a: Interval, p: float) -> Interval:
@@ -230,7 +230,7 @@ class IntervalAlgebra:
         if p == int(p):
             n = flint.fmpz(int(p))
             return _rising(lambda x: x**n, a) if n % 2 else _rising(lambda x: x**n, _magnitudes(a), 0.0)
-        a = self.refuse(f"the power {p:g}: its base may be negative", a.lo < 0.0, a)
+        a = self.refuse(f"power {p:g} of a number that may be negative", a.lo < 0.0, a)
         return _rising(lambda x: x if x == 0 else x ** flint.arb(p), a, 0.0)
 
     # Exponentials and logarithms.
@@ -242,10 +242,10 @@ class IntervalAlgebra:
         return _rising(lambda x: x.expm1(), a, -1.0)
 
     def log(self, a: Interval) -> Interval:
-        return _rising(lambda x: x.log(), self.refuse("log: its argument may be 0 or negative", a.lo <= 0.0, a))
+        return _rising(lambda x: x.log(), self.refuse("log of a number that may be 0 or negative", a.lo <= 0.0, a))
 
     def log1p(self, a: Interval) -> Interval:
-        return _rising(lambda x: x.log1p(), self.refuse("log1p: its argument may reach -1", a.lo <= -1.0, a))
+        return _rising(lambda x: x.log1p(), self.refuse("log1p of a number that may be -1 or less", a.lo <= -1.0, a))
 
     # Circular and hyperbolic functions.
 
@@ -256,11 +256,11 @@ class IntervalAlgebra:
         return _wave(lambda x: x.cos(), a, 0.0)
 
     def tan(self, a: Interval) -> Interval:
-        a = self.refuse("tan: its argument may be a pole", _meets_integer(a, np.pi, 0.5), a)
+        a = self.refuse("tan of a number that may be a pole", _meets_integer(a, np.pi, 0.5), a)
         return _rising(lambda x: x.tan(), a)
 
     def _unit(self, name: str, a: Interval) -> Interval:
-        return self.refuse(f"{name}: its argument may leave [-1, 1]", (a.lo < -1.0) | (a.hi > 1.0), a)
+        return self.refuse(f"{name} of a number that may lie outside [-1, 1]", (a.lo < -1.0) | (a.hi > 1.0), a)
 
     def asin(self, a: Interval) -> Interval:
         return _rising(lambda x: x.asin(), self._unit("asin", a))
@@ -300,11 +300,11 @@ class IntervalAlgebra:
         return _rising(lambda x: x.asinh(), a)
 
     def acosh(self, a: Interval) -> Interval:
-        return _rising(lambda x: x.acosh(), self.refuse("acosh: its argument may be below 1", a.lo < 1.0, a), 0.0)
+        return _rising(lambda x: x.acosh(), self.refuse("acosh of a number that may be below 1", a.lo < 1.0, a), 0.0)
 
     def atanh(self, a: Interval) -> Interval:
         bad = (a.lo <= -1.0) | (a.hi >= 1.0)
-        return _rising(lambda x: x.atanh(), self.refuse("atanh: its argument may reach -1 or 1", bad, a))
+        return _rising(lambda x: x.atanh(), self.refuse("atanh of a number that may reach -1 or 1", bad, a))
 
     # Pieces.
 

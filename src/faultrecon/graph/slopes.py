@@ -1,13 +1,13 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""First derivatives over a box, enclosed: every generalised (Clarke) gradient at every point of the box is inside.
+"""First derivatives over a box, enclosed: the gradient at every point of the box that has one is inside.
 
-Forward differentiation with intervals for numbers. abs, min and max have slopes between those of their pieces; where a
-function may jump (sign, floor, a switch) the slope is everything from -inf to inf, so nothing finite follows from it.
+Forward differentiation with intervals for numbers. abs, min and max have the slopes of their pieces and all between;
+where a function may jump (sign, floor, a switch) the slope is everything from -inf to inf: nothing finite follows.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -16,7 +16,7 @@ from faultrecon.graph.interval import Failure, Interval, IntervalAlgebra, Mask, 
 
 _ZERO, _ONE, _TWO = Interval.point(0.0), Interval.point(1.0), Interval.point(2.0)
 _ENTIRE = Interval(np.asarray(-np.inf), np.asarray(np.inf))
-_UNIT = Interval(np.asarray(-1.0), np.asarray(1.0))
+_BOTH_SIGNS = Interval(np.asarray(-1.0), np.asarray(1.0))
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,9 +29,16 @@ class Slope:
 
 @dataclass
 class SlopeAlgebra:
-    """The operations of a graph on values that carry their derivatives."""
+    """The operations of a graph on values that carry their derivatives.
+
+    choices: for the i-th abs, min, max or switch met, whether its first piece is taken where the box leaves that open
+    (unnamed ones give the hull of both). open: for each of them, the boxes that do. Almost everywhere the gradient is
+    that of some choice, so the worst of all choices bounds a Lipschitz constant, and better than the hull does.
+    """
 
     of: IntervalAlgebra = field(default_factory=IntervalAlgebra)
+    choices: Mapping[int, bool] = field(default_factory=dict)
+    open: list[Mask] = field(default_factory=list)
 
     def const(self, value: float) -> Slope:
         return Slope(self.of.const(value))
@@ -42,13 +49,13 @@ class SlopeAlgebra:
 
     def _steep(self, what: str, where: Mask, x: Interval) -> Interval:
         """x, refused where the slope of a function of x is unbounded."""
-        return self.of.refuse(f"{what}: its slope is unbounded where its argument", where, x)
+        return self.of.refuse(f"{what} is infinitely steep", where, x)
 
     def _jump(self, what: str, where: Mask, x: Slope, otherwise: Interval | None) -> Interval | None:
         """A slope that is known, except where the function may jump."""
         if not where.any():
             return otherwise
-        self.of.failures.append(Failure(f"{what} may jump: its argument", where, x.value))
+        self.of.failures.append(Failure(f"{what} may jump", where, x.value))
         return choose(where, _ENTIRE, otherwise or _ZERO)
 
     def _sum(self, a: Interval | None, b: Interval | None) -> Interval | None:
@@ -86,8 +93,8 @@ class SlopeAlgebra:
         root = self.of.sqrt(a.value)
         if a.by is None:
             return Slope(root)
-        root_above_0 = self._steep("sqrt", root.lo <= 0.0, root)
-        return self._chain(a, root, lambda: self.of.div(_ONE, self.of.mul(_TWO, root_above_0)))
+        x = self._steep("sqrt", a.value.lo <= 0.0, a.value)
+        return self._chain(a, root, lambda: self.of.div(_ONE, self.of.mul(_TWO, self.of.sqrt(x))))
 
     def pow(self, a: Slope, b: Slope) -> Slope:
         v = self.of
@@ -183,8 +190,20 @@ class SlopeAlgebra:
 
     # Pieces.
 
+    def _piece(self, first: Mask, second: Mask, a: Interval | None, b: Interval | None) -> Interval | None:
+        """The slope of whichever piece is active; where that is open, of the piece chosen, or the hull of both."""
+        if a is None and b is None:
+            return None
+        a, b = a or _ZERO, b or _ZERO
+        take = self.choices.get(len(self.open))
+        self.open.append(~first & ~second)
+        return choose(first, a, choose(second, b, hull(a, b) if take is None else a if take else b))
+
     def abs(self, a: Slope) -> Slope:
-        return self._chain(a, self.of.abs(a.value), lambda: self.of.sign(a.value))
+        value = self.of.abs(a.value)
+        if a.by is None:
+            return Slope(value)
+        return Slope(value, self._piece(a.value.lo >= 0.0, a.value.hi <= 0.0, a.by, self.of.neg(a.by)))
 
     def _steps(self, name: str, a: Slope, value: Interval) -> Slope:
         """A function of steps: flat, or it jumps."""
@@ -200,12 +219,12 @@ class SlopeAlgebra:
         return self._steps("ceil", a, self.of.ceil(a.value))
 
     def min(self, a: Slope, b: Slope) -> Slope:
-        first, second = a.value.hi < b.value.lo, b.value.hi < a.value.lo
-        return Slope(self.of.min(a.value, b.value), _piece(first, second, a.by, b.by))
+        first, second = a.value.hi <= b.value.lo, b.value.hi <= a.value.lo
+        return Slope(self.of.min(a.value, b.value), self._piece(first, second, a.by, b.by))
 
     def max(self, a: Slope, b: Slope) -> Slope:
-        first, second = a.value.lo > b.value.hi, b.value.lo > a.value.hi
-        return Slope(self.of.max(a.value, b.value), _piece(first, second, a.by, b.by))
+        first, second = a.value.lo >= b.value.hi, b.value.lo >= a.value.hi
+        return Slope(self.of.max(a.value, b.value), self._piece(first, second, a.by, b.by))
 
     def _test(self, name: str, a: Slope, b: Slope, value: Interval) -> Slope:
         """A truth value: flat, or it jumps."""
@@ -235,7 +254,7 @@ class SlopeAlgebra:
     def if_else_zero(self, c: Slope, x: Slope) -> Slope:
         value = self.of.if_else_zero(c.value, x.value)
         on, off = (c.value.lo > 0.0) | (c.value.hi < 0.0), (c.value.lo == 0.0) & (c.value.hi == 0.0)
-        by = _piece(on, off, x.by, None)
+        by = self._piece(on, off, x.by, None)
         # A condition on other inputs alone holds still while the variables move: no jump, one of the two slopes.
         return Slope(value, by if c.by is None else self._jump("if_else", ~on & ~off, c, by))
 
@@ -245,12 +264,4 @@ def _share(v: IntervalAlgebra, a: Interval, r: Interval) -> Interval:
     zero = r.lo <= 0.0
     share = v.div(a, choose(zero, _ONE, r))
     within = Interval(np.clip(share.lo, -1.0, 1.0), np.clip(share.hi, -1.0, 1.0))
-    return choose(zero, _UNIT, within)
-
-
-def _piece(first: Mask, second: Mask, a: Interval | None, b: Interval | None) -> Interval | None:
-    """The slope of whichever piece is active, of either where that is open."""
-    if a is None and b is None:
-        return None
-    a, b = a or _ZERO, b or _ZERO
-    return choose(first, a, choose(second, b, hull(a, b)))
+    return choose(zero, _BOTH_SIGNS, within)

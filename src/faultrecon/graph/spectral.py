@@ -12,8 +12,8 @@ _U = 2.0**-53
 
 def norm_above(entries: Interval) -> Array:
     """Proved upper bounds on the spectral norm of matrices (N, m, k) of intervals; inf where an entry is unbounded."""
-    bounded = np.isfinite(entries.hi - entries.lo).reshape(len(entries.lo), -1).all(axis=1)
-    above = np.full(len(bounded), np.inf)
+    bounded = np.asarray(np.isfinite(entries.lo) & np.isfinite(entries.hi)).all(axis=(1, 2))
+    above = np.full(bounded.shape, np.inf)
     if not bounded.any():
         return above
     lo, hi = entries.lo[bounded], entries.hi[bounded]
@@ -22,15 +22,14 @@ def norm_above(entries: Interval) -> Array:
         above[bounded] = largest[:, 0, 0]
         return above
     # Scaling by a power of 2 is exact and keeps every square away from under- and overflow.
-    scale = np.ldexp(1.0, np.frexp(largest.max(axis=(1, 2)))[1] - 1)
-    scale = np.where(scale > 0.0, scale, 1.0)[:, None, None]
+    scale = np.ldexp(1.0, np.frexp(largest.max(axis=(1, 2)))[1] - 1)[:, None, None]
     lo, hi, largest = lo / scale, hi / scale, largest / scale
     bound = np.minimum(_frobenius(largest), _schur(largest))
     if min(lo.shape[1:]) > 1:
         middle = lo + 0.5 * (hi - lo)
         radius = np.nextafter(np.maximum(hi - middle, middle - lo), np.inf)
         bound = np.minimum(bound, _spectral(middle) + np.minimum(_frobenius(radius), _schur(radius)))
-    # Sums and roots of n nonnegative terms lose at most (n + 4) roundings; 1e-14 covers that for n <= 50, and so on.
+    # Sums, products and roots of n nonnegative terms lose at most n + 10 roundings of 1.1e-16 each.
     slack = 1.0 + 1e-15 * (10 + lo.shape[1] * lo.shape[2])
     above[bounded] = np.nextafter(bound * slack * scale[:, 0, 0], np.inf)
     return above
@@ -38,8 +37,8 @@ def norm_above(entries: Interval) -> Array:
 
 def norm_below(entries: Interval) -> Array:
     """Lower bounds on the spectral norm, in floating point; 0 where an entry is unbounded."""
-    bounded = np.isfinite(entries.hi - entries.lo).reshape(len(entries.lo), -1).all(axis=1)
-    below = np.zeros(len(bounded))
+    bounded = np.asarray(np.isfinite(entries.lo) & np.isfinite(entries.hi)).all(axis=(1, 2))
+    below = np.zeros(bounded.shape)
     lo, hi = entries.lo[bounded], entries.hi[bounded]
     if lo.size:
         middle = lo + 0.5 * (hi - lo)
@@ -58,7 +57,7 @@ def _schur(matrices: Array) -> Array:
 
 
 def _spectral(a: Array) -> Array:
-    """Upper bounds on the spectral norm of point matrices with entries of size 1 or less.
+    """Upper bounds on the spectral norm of point matrices with entries of size about 1.
 
     With V nearly orthogonal, norm(A) <= norm(A V) norm(V^-1), where norm(A V)^2 is bounded by the row sums of
     (A V)'(A V), nearly diagonal, and norm(V^-1)^2 by 1 / (1 - row sums of |V'V - I|). V may be any matrix: what

@@ -38,10 +38,8 @@ class Document:
         return positions(self.text)
 
     def where(self, path: Path) -> str:
-        """'plant.toml:12  signals.y[2]'."""
-        if not path:
-            return f"{self.source}:1"
-        return f"{self.source}:{line_of(path, self.lines)}  {spelled(path)}"
+        """'plant.toml:12  signals.y[2]'; the file as a whole is called 'the file'."""
+        return f"{self.source}:{line_of(path, self.lines)}  {spelled(path) or 'the file'}"
 
 
 @dataclass(frozen=True)
@@ -204,5 +202,8 @@ def document(text: str, source: str) -> Node:
         line = int(found[1]) if found else text.count("\n") + 1
         fact = re.sub(r" \(at (line|end)[^()]*\)$", "", str(error))
         raise InputError(
-            f"{source}:{line}  is not valid TOML", why=fact, remedies=("mend that line",), see="https://toml.io/en/v1.0.0"
+            f"{source}:{line}  is not valid TOML",
+            why=fact,
+            remedies=("mend that line",),
+            see="https://toml.io/en/v1.0.0",
         ) from error

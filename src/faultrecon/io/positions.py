@@ -10,6 +10,7 @@ import re
 import tomllib
 from bisect import bisect_right
 from collections.abc import Mapping
+from contextlib import suppress
 
 Path = tuple[str | int, ...]
 
@@ -32,10 +33,9 @@ def positions(text: str) -> dict[Path, int]:
     ('fault', 1, 'name') is the key `name` of the second [[fault]], ('matrices', 'A', 0, 2) an entry of a matrix.
     """
     scanner = _Scanner(text)
-    try:
+    # Where it stops, the places found so far still serve: `line_of` falls back to the nearest one above.
+    with suppress(LookupError, RecursionError, ValueError):
         scanner.document()
-    except (LookupError, RecursionError, ValueError):
-        pass  # the places found so far still serve: `line_of` falls back to the nearest one above
     return scanner.lines
 
 

@@ -134,7 +134,7 @@ class DyadicAlgebra:
             if len({b.shape[0] for b in row}) > 1:
                 raise ExactError("the blocks of one row differ in height")
             parts = [integers(_at(b, low)) for b in row]
-            out += [sum((part[i] for part in parts), []) for i in range(row[0].shape[0])]
+            out += [[v for part in parts for v in part[i]] for i in range(row[0].shape[0])]
         width = sum(b.shape[1] for b in rows[0]) if rows else 0
         if any(len(line) != width for line in out):
             raise ExactError("the block rows differ in width")
@@ -193,7 +193,7 @@ def read_tree(tree: Any, letter: Callable[[str], Dyadic], algebra: DyadicAlgebra
 class Definite:
     """Whether a matrix is positive definite: the answer, how it was reached, how far it is from changing.
 
-    margin: smallest relative diagonal dominance of the congruent matrix (1 is the identity), 0 when elimination decided.
+    margin: estimate of the smallest eigenvalue after the diagonal is scaled to about one; 0 when elimination decided.
     witness: integer vector v with vᵀ M v <= 0 when refuted.
     """
 
@@ -232,8 +232,10 @@ def _by_factor(a: Dyadic, m: list[list[int]], half: list[int], algebra: DyadicAl
         if any(witness) and _quadratic(m, witness) <= 0:
             return Definite("refuted", "witness from a failed Cholesky step", witness=witness)
         return None
-    margin = _dominance(a, inverse, half, algebra)
-    return Definite("proved", "congruence and diagonal dominance", margin=margin) if margin > 0 else None
+    if not _dominant(a, inverse, half, algebra):
+        return None
+    margin = 1.0 / sum(v * v for row in inverse for v in row)
+    return Definite("proved", "congruence and diagonal dominance", margin=margin)
 
 
 def _inverse_cholesky(s: list[list[float]]) -> tuple[list[list[float]], list[float] | None]:
@@ -256,7 +258,7 @@ def _inverse_cholesky(s: list[list[float]]) -> tuple[list[list[float]], list[flo
     return inverse, None
 
 
-def _dominance(a: Dyadic, inverse: list[list[float]], half: list[int], algebra: DyadicAlgebra) -> float:
+def _dominant(a: Dyadic, inverse: list[list[float]], half: list[int], algebra: DyadicAlgebra) -> bool:
     n = len(inverse)
     bits, top = 60, max(half)
     rows = []
@@ -265,13 +267,7 @@ def _dominance(a: Dyadic, inverse: list[list[float]], half: list[int], algebra: 
         rows.append(head + [0] * (n - i - 1))
     factor = Dyadic(algebra.backend(n, n, rows), 0)
     g = integers(algebra.matmul(algebra.matmul(factor, Dyadic(a.mat, 0)), algebra.transpose(factor)))
-    margins = []
-    for i in range(n):
-        gap = g[i][i] - sum(abs(g[i][j]) for j in range(n) if j != i)
-        if gap <= 0:
-            return 0.0
-        margins.append(gap / g[i][i])
-    return min(margins, default=1.0)
+    return all(g[i][i] > sum(abs(g[i][j]) for j in range(n) if j != i) for i in range(n))
 
 
 def _by_elimination(m: list[list[int]]) -> Definite:

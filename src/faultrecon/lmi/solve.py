@@ -38,7 +38,7 @@ class Outcome:
 
 @dataclass(frozen=True)
 class ConicData:
-    """min q'v  s.t.  b - M v in a product of cones; each block an svec: upper triangle by columns, off-diagonal * √2."""
+    """min q'v s.t. b - M v in a product of cones; each block an svec (upper triangle by columns, off-diagonal * √2)."""
 
     q: np.ndarray
     M: Any

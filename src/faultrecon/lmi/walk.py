@@ -148,14 +148,14 @@ def children(node: Expr) -> list[Expr]:
     return [a for a in node.args if isinstance(a, Expr)]
 
 
-def substitute(expr: Expr, by: Mapping[str, Expr]) -> Expr:
-    """`expr` with unknowns replaced by expressions of their shape, `Z := P L` say; named parts keep their letters."""
-    memo: dict[int, Expr] = {}
+def substitute(exprs: Sequence[Expr], by: Mapping[str, Expr]) -> list[Expr]:
+    """`exprs` with unknowns replaced by expressions of their shape, `Z := P L` say; named parts keep their letters."""
+    memo: dict[int, tuple[Expr, Expr]] = {}
 
     def go(node: Expr) -> Expr:
         if id(node) not in memo:
-            memo[id(node)] = rebuilt(node)
-        return memo[id(node)]
+            memo[id(node)] = (node, rebuilt(node))  # the node is kept alive so that its id cannot be reused
+        return memo[id(node)][1]
 
     def rebuilt(node: Expr) -> Expr:
         if node.op == "unknown":
@@ -167,4 +167,4 @@ def substitute(expr: Expr, by: Mapping[str, Expr]) -> Expr:
             return Expr("block", (tuple(tuple(go(b) for b in row) for row in node.args[0]),), node.shape)
         return Expr(node.op, tuple(go(a) if isinstance(a, Expr) else a for a in node.args), node.shape)
 
-    return go(expr)
+    return [go(expr) for expr in exprs]

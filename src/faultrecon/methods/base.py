@@ -148,6 +148,16 @@ def deviations(plant: Plant) -> dict[str, Any]:
     return {**point, "nonlinear": nonlinear, "copied": copied}
 
 
+def lipschitz_premises(plant: Plant) -> list[Assumed]:
+    """The bound on φ, and who says so."""
+    if plant.nonlinearity is None:
+        return []
+    term = plant.nonlinearity
+    how = "proved by ball arithmetic, not rechecked here" if term.basis == "proved" else "declared with the plant"
+    bound = f"|φ(a) - φ(b)| ≤ {term.constant:.9g} |a - b| on the domain"
+    return [Assumed("Lipschitz constant", f"{bound}: {how}", term.basis)]
+
+
 class Method(ABC):
     """A published method.  Subclasses are found by scanning `faultrecon.methods` and the entry-point group."""
 
@@ -173,4 +183,3 @@ class Method(ABC):
     def gains_without_proof(self, plant: Plant) -> dict[str, NDArray[np.float64]] | None:
         """Gains that need no theorem to be run (a baseline's), or None."""
         return None
-

@@ -21,12 +21,11 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from faultrecon.diagnosis.existence import detectability_findings, fault_findings
+from faultrecon.diagnosis.existence import detectability_findings, disturbance_findings, fault_findings
 from faultrecon.finding import Finding
 from faultrecon.graph.observer import Observer
 from faultrecon.lmi.expr import I, __, given, let, sym, unknown
 from faultrecon.methods.base import (
-    Assumed,
     Identity,
     Method,
     Paper,
@@ -35,6 +34,7 @@ from faultrecon.methods.base import (
     Theorem,
     deviations,
     letters,
+    lipschitz_premises,
 )
 from faultrecon.numerics.annihilator import annihilator, left_inverse
 from faultrecon.plant.plant import Plant
@@ -73,7 +73,7 @@ class LipschitzHinf(Method):
                     see="Khosrowjerdi 2011, (2.4): p > q",
                 )
             ]
-        return detectability_findings(plant)
+        return disturbance_findings(plant) + detectability_findings(plant)
 
     def theorem(self, plant: Plant, scaling: Scaling) -> Theorem:
         """Theorem 3.1 for this plant."""
@@ -117,7 +117,7 @@ class LipschitzHinf(Method):
                 Identity("N F = 0: healthy outputs carry no fault", N@s["F_f"], ROUNDING),
                 Identity("F⁺ F = I: faults pass with gain one", Fp@s["F_f"] - I(q), ROUNDING),
             ],
-            premises=_premises(plant),
+            premises=lipschitz_premises(plant),
             claim=_claim(plant),
             scope=_scope(plant),
             fixed={"K₁": 0.0},
@@ -221,17 +221,6 @@ def _scope(plant: Plant) -> str:
             box = ", ".join(f"{k} in [{a:g}, {b:g}]" for k, (a, b) in plant.nonlinearity.domain.items())
             text += f" while the plant stays in {box}"
     return text + "; does not cover sampling, rounding at run time, or a plant that differs from the model"
-
-
-def _premises(plant: Plant) -> list[Assumed]:
-    premises = [Assumed("model", "the plant is the model")]
-    if plant.nonlinearity is not None:
-        term = plant.nonlinearity
-        how = "proved by ball arithmetic, not rechecked here" if term.basis == "proved" else "declared in the plant file"
-        premises.append(
-            Assumed("Lipschitz constant", f"|φ(a) - φ(b)| ≤ {term.constant:.9g} |a - b| on the domain: {how}", term.basis)
-        )
-    return premises
 
 
 _HARD_FLOOR = (

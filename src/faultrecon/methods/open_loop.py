@@ -12,11 +12,11 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from faultrecon.diagnosis.existence import fault_findings
+from faultrecon.diagnosis.existence import disturbance_findings, fault_findings
 from faultrecon.finding import Finding
 from faultrecon.graph.observer import Observer
 from faultrecon.lmi.expr import I, __, given, let, sym, unknown
-from faultrecon.methods.base import Assumed, Identity, Method, Paper, Scaling, Theorem, deviations, letters
+from faultrecon.methods.base import Identity, Method, Paper, Scaling, Theorem, deviations, letters, lipschitz_premises
 from faultrecon.numerics.annihilator import left_inverse
 from faultrecon.plant.plant import Plant
 
@@ -52,7 +52,7 @@ class OpenLoop(Method):
                     see="Khosrowjerdi 2011, section 4",
                 )
             ]
-        return []
+        return disturbance_findings(plant)
 
     # fmt: off
     def theorem(self, plant: Plant, scaling: Scaling) -> Theorem:
@@ -75,7 +75,7 @@ class OpenLoop(Method):
             minimise=γ2, gains={}, prove_with={γ2: γ*γ},
             lyapunov=P, drift=P@A, readout=H1, noise=P@given("no noise", np.zeros((n, 0))),
             identities=[Identity("T T⁻¹ = I", T@Ti - I(n)), Identity("F⁺ F = I", Fp@s["F_f"] - I(q), 2.0**-40)],
-            premises=[Assumed("model", "the plant is the model")],
+            premises=lipschitz_premises(plant),
             claim="∫|f - f̂|² dt ≤ γ² ∫|w|² dt + V(e(0)) on every horizon, in declared sizes",
             scope="covers the continuous-time error system in exact arithmetic; no feedback corrects the state",
         )

@@ -35,8 +35,8 @@ def state_scaling(A: ArrayLike, B: ArrayLike, C: ArrayLike, ranges: ArrayLike | 
     each within +-60.  Raises InputError for a range that is not positive.
 
     The others minimise the sum of the sizes of all entries that a change of units moves (Osborne's balancing with B
-    and C included; the minimum is unique and the problem convex in e), with a weak pull to the least-squares fit of
-    the logarithms, which settles the directions in which a reducible A (a chain, a triangle) would drift for ever.
+    and C included; the minimum is unique and the problem convex in e), with a weak pull to a robust fit of the
+    logarithms, which settles the directions in which a reducible A (a chain, a triangle) would drift for ever.
     Measuring a state in units 2**k times larger moves its exponent by exactly -k, except in a group of states that is
     linked to no input, no output and no declared range: there only the differences are determined.
     """
@@ -104,39 +104,48 @@ def _links(A: Array, B: Array, C: Array) -> tuple[NDArray[np.intp], NDArray[np.i
 
 
 def _balance(links: tuple[NDArray[np.intp], NDArray[np.intp], Array], n: int, free: NDArray[np.bool_]) -> Array:
-    """Real exponents minimising sum_ij |entry| 2^(e_col - e_row) + pull * (distance to the log-least-squares fit)."""
+    """Real exponents minimising sum_ij |entry| 2^(e_col - e_row) with a weak pull to the robust logarithmic fit."""
     rows, cols, size = links
-    e = np.zeros(n + 1)
+    e = np.zeros(n)
     if not free.any() or size.size == 0:
-        return e[:n]
-    k = np.arange(size.size)
+        return e
     D = np.zeros((size.size, n + 1))
+    k = np.arange(size.size)
     np.add.at(D, (k, cols), 1.0)
     np.add.at(D, (k, rows), -1.0)
     D = D[:, :n][:, free]
-    # The normal matrix is a graph Laplacian; a group linked to nothing makes it singular, lstsq then keeps e small.
-    laplacian = D.T @ D
-    e[:n][free] = np.linalg.lstsq(laplacian, -D.T @ size, rcond=1e-12)[0]
-    fit = e[:n][free].copy()
-    z = fit
-    for _ in range(12):  # the pull is a thousandth of the entries it steadies, once those are balanced
-        weight = 1e-3 * float(np.mean(np.exp2(D @ z + size)))
-        previous, z = z, _minimise(D, size, fit, weight, z)
-        if np.abs(z - previous).max() <= 1e-2:  # a hundredth of an exponent is below the rounding to come
+    fit = _logarithmic_fit(D, size)
+    weight = 1e-3 * float(np.mean(np.exp2(D @ fit + size)))
+    e[free] = _minimise(D, size, fit, weight)
+    return e
+
+
+def _logarithmic_fit(D: Array, size: Array) -> Array:
+    """The exponents z that bring log2 sizes D z + size near 0: quadratic for small ones, linear beyond 2**4.
+
+    Sizes below 1 weigh a quarter: an entry of 1e-17 is rounding noise and may stay small, one of 1e17 may not stay.
+    """
+    z = np.zeros(D.shape[1])
+    for _ in range(60):
+        t = D @ z + size
+        w = np.where(t > 0, 1.0, 0.25) / np.sqrt(1.0 + (t / 4.0) ** 2)
+        # A group linked to nothing makes the normal matrix singular; lstsq then keeps its exponents small.
+        step = np.linalg.lstsq(D.T @ (w[:, None] * D), -D.T @ (w * t), rcond=1e-12)[0]
+        z = z + step
+        if np.abs(step).max() <= 1e-2:  # a hundredth of an exponent is below the rounding to come
             break
-    e[:n][free] = z
-    return e[:n]
+    return z
 
 
-def _minimise(D: Array, size: Array, fit: Array, weight: float, z: Array) -> Array:
+def _minimise(D: Array, size: Array, fit: Array, weight: float) -> Array:
     """Damped Newton on the convex sum_k 2^(D z + size)_k + weight/2 |D (z - fit)|^2, a handful of steps in practice."""
     laplacian = D.T @ D
 
     def cost(z: Array) -> float:
         return float(np.exp2(D @ z + size).sum() + 0.5 * weight * np.sum((D @ (z - fit)) ** 2))
 
-    value = cost(z)
-    for _ in range(60):
+    z, value = fit, cost(fit)
+    for _ in range(100):
         terms = np.exp2(D @ z + size) * np.log(2.0)
         gradient = D.T @ terms + weight * laplacian @ (z - fit)
         hessian = D.T @ (np.log(2.0) * terms[:, None] * D) + weight * laplacian

@@ -1,0 +1,297 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""CSV and Parquet files as columns, and columns as numbers or times; every failure says where it is."""
+
+from __future__ import annotations
+
+import csv as plain_csv
+import os
+from contextlib import suppress
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from faultrecon.finding import InputError, did_you_mean
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+Array = NDArray[np.float64]
+EXTENSIONS = (".csv", ".parquet")
+# Words that recorders and spreadsheets write for a value that is not there.
+ABSENT = ["", "nan", "NaN", "NAN", "-nan", "NA", "N/A", "#N/A", "null", "NULL", "None", "none"]
+
+
+def name_extension(source: str) -> str:
+    """'.csv' or '.parquet'.  Raises InputError for any other."""
+    extension = Path(source).suffix.lower()
+    if extension not in EXTENSIONS:
+        raise InputError(
+            f"{source}: the extension is '{extension}'", remedies=(f"use {' or '.join(EXTENSIONS)} for a recording",)
+        )
+    return extension
+
+
+def read_table(source: str) -> pa.Table:
+    """The whole file as a table; the columns of a CSV file are text still, unless they all read as numbers."""
+    file = Path(source)
+    extension = name_extension(source)
+    try:
+        if file.is_dir():
+            raise InputError(f"{source}: is a folder, not a file")
+        if not file.exists():
+            raise InputError(f"{source}: no such file", remedies=_neighbour(file))
+        if not file.is_file():
+            raise InputError(f"{source}: is not an ordinary file")
+        if file.stat().st_size == 0:
+            raise InputError(
+                f"{source}: is empty", why="the file has 0 bytes", remedies=("record at least one sample",)
+            )
+        with file.open("rb") as opened:
+            start = opened.read(4096)
+    except OSError as error:
+        raise InputError(f"{source}: cannot be read", why=error.strerror or str(error)) from error
+    return _parquet(source) if extension == ".parquet" else _csv(source, start)
+
+
+def _neighbour(file: Path) -> tuple[str, ...]:
+    if not file.parent.is_dir():
+        return (f"the folder {file.parent} does not exist",)
+    hint = did_you_mean(file.name, sorted(n for n in os.listdir(file.parent) if n.lower().endswith(EXTENSIONS)))
+    return (hint,) if hint.startswith("did you mean") else ("check the path",)
+
+
+def _parquet(source: str) -> pa.Table:
+    import pyarrow as pa
+    from pyarrow import parquet
+
+    try:
+        with parquet.ParquetFile(source) as opened:
+            return opened.read()
+    except (pa.ArrowException, OSError) as error:
+        raise InputError(
+            f"{source}: cannot be read as Parquet, the file is truncated, damaged or of another kind",
+            why=_first_line(error),
+            remedies=("copy the file again from where it was recorded",),
+        ) from error
+
+
+def _csv(source: str, start: bytes) -> pa.Table:
+    import pyarrow as pa
+    from pyarrow import csv
+
+    names, first = _head(source, start)
+    # Columns that begin with a number are read as numbers at once.  Where a later cell is none, all is read again as
+    # text, slower, so that `numbers` can say which cell it is.
+    cells = dict(zip(names, first, strict=True))
+    likely = {name: pa.float64() if _reads_as_number(cell) else pa.string() for name, cell in cells.items()}
+    for types in (likely, dict.fromkeys(names, pa.string())):
+        options = csv.ConvertOptions(column_types=types, null_values=ABSENT, strings_can_be_null=True)
+        try:
+            table = csv.read_csv(source, convert_options=options)
+            return table.rename_columns([name.strip() for name in table.column_names])
+        except (pa.ArrowException, OSError) as error:
+            problem = error
+    raise _unreadable_csv(source, problem) from problem
+
+
+def _reads_as_number(cell: str) -> bool:
+    try:
+        float(cell)
+    except ValueError:
+        return cell.strip() in ABSENT
+    return True
+
+
+def _head(source: str, start: bytes) -> tuple[list[str], list[str]]:
+    """The column names and the first row, padded to as many cells.  Raises InputError on what is no UTF-8 text."""
+    if start.startswith((b"\xff\xfe", b"\xfe\xff")):
+        raise InputError(f"{source}:1  is UTF-16 text", remedies=("save the file as CSV in UTF-8",))
+    if start.startswith(b"PAR1"):
+        raise InputError(f"{source}: is a Parquet file", remedies=("rename it to .parquet",))
+    if b"\x00" in start:
+        raise InputError(f"{source}: is binary, not CSV text", remedies=("export the recording as CSV in UTF-8",))
+    try:
+        with open(source, encoding="utf-8-sig", newline="") as opened:
+            rows = (row for row in plain_csv.reader(opened) if row)
+            names = next(rows)
+            first = next(rows, [])
+            return names, [*first, *[""] * len(names)][: len(names)]
+    except UnicodeDecodeError as error:
+        raise InputError(
+            f"{source}:1  has a byte 0x{error.object[error.start]:02x}, which is not UTF-8",
+            remedies=("save the file as UTF-8",),
+        ) from error
+    except (StopIteration, plain_csv.Error, OSError) as error:
+        raise InputError(f"{source}:1  has no header", remedies=("begin with a line of column names",)) from error
+
+
+def _unreadable_csv(source: str, error: Exception) -> InputError:
+    """The complaint about a table that does not hang together, with its row where a slow second look finds it."""
+    import pyarrow as pa
+    from pyarrow import csv
+
+    with open(source, "rb") as opened:
+        for line, raw in enumerate(opened, start=1):
+            try:
+                raw.decode("utf-8")
+            except UnicodeDecodeError as bad:
+                return InputError(
+                    f"{source}:{line}  has a byte 0x{raw[bad.start]:02x}, which is not UTF-8",
+                    remedies=("save the file as UTF-8",),
+                )
+    found: list[Any] = []
+
+    def note(row: Any) -> str:
+        found.append(row)
+        return "error"
+
+    with suppress(pa.ArrowException, OSError):  # that it fails is known: the row is what is wanted
+        csv.read_csv(
+            source,
+            read_options=csv.ReadOptions(use_threads=False),
+            parse_options=csv.ParseOptions(invalid_row_handler=note),
+        )
+    remedy = "give every row one cell per column"
+    if found and found[0].number is not None:
+        row = found[0]
+        return InputError(
+            f"{source}:{row.number}  has {row.actual_columns} cells for {row.expected_columns} columns",
+            why=f"the line is {row.text[:60]!r}",
+            remedies=(remedy,),
+        )
+    return InputError(f"{source}: cannot be read as CSV", why=_first_line(error), remedies=(remedy,))
+
+
+def _first_line(error: Exception) -> str:
+    return (str(error).strip().splitlines() or [type(error).__name__])[0]
+
+
+# ---------------------------------------------------------------- columns
+
+
+def numbers(source: str, table: pa.Table, column: str) -> Array:
+    """A column as (N,) floats, NaN where a cell is empty.  Raises InputError with the first cell that is no number."""
+    import pyarrow as pa
+    import pyarrow.compute as pc
+
+    values = _plain(table.column(column))
+    kind = values.type
+    if pa.types.is_string(kind) or pa.types.is_large_string(kind):
+        values = _spelled(source, column, values)
+    elif not (pa.types.is_integer(kind) or pa.types.is_floating(kind) or pa.types.is_decimal(kind)):
+        if not (pa.types.is_boolean(kind) or pa.types.is_null(kind)):
+            raise InputError(
+                f"{source}: column {column} holds {kind}, not numbers", remedies=("give numbers in the plant's units",)
+            )
+        values = pc.cast(values, pa.int8())
+    # An integer beyond 2^53 is rounded, as everywhere in double precision.
+    floats = pc.cast(values, pa.float64(), safe=False)
+    return np.array(floats.fill_null(float("nan")).to_numpy(), dtype=np.float64)
+
+
+def _plain(values: Any) -> Any:
+    """The column without dictionary encoding, text of any width as ordinary text."""
+    import pyarrow as pa
+    import pyarrow.compute as pc
+
+    if pa.types.is_dictionary(values.type):
+        values = pc.cast(values, values.type.value_type)
+    return pc.cast(values, pa.string()) if str(values.type) in ("string_view", "large_string") else values
+
+
+def _spelled(source: str, column: str, values: Any) -> Any:
+    """Text as numbers; a cell that says it is absent is null."""
+    import pyarrow as pa
+    import pyarrow.compute as pc
+
+    text = pc.call_function("utf8_trim_whitespace", [values])
+    absent = pc.call_function("is_in", [text], pc.SetLookupOptions(value_set=pa.array(ABSENT)))
+    text = pc.call_function("if_else", [absent, pa.scalar(None, pa.string()), text])
+    try:
+        return pc.cast(text, pa.float64())
+    except pa.ArrowInvalid as error:
+        row = _first_unlike(text, pa.float64())
+        raise InputError(
+            f"{source}: column {column}, row {row + 1} is {text[row].as_py()!r:.60}, not a number",
+            remedies=("correct the cell, or leave it empty where there is no value",),
+        ) from error
+
+
+def _first_unlike(text: Any, kind: Any) -> int:
+    """The first row that does not read as this kind of value, by halving."""
+    import pyarrow as pa
+    import pyarrow.compute as pc
+
+    low, high = 0, len(text)
+    while high - low > 1:
+        middle = (low + high) // 2
+        try:
+            pc.cast(text[low:middle], kind)
+            low = middle
+        except pa.ArrowInvalid:
+            high = middle
+    return low
+
+
+# ---------------------------------------------------------------- times
+
+
+def seconds(source: str, table: pa.Table, column: str) -> tuple[Array, datetime | None]:
+    """A time column in seconds: numbers as they stand, dates from the first row, whose date comes second."""
+    import pyarrow as pa
+    import pyarrow.compute as pc
+
+    values = _plain(table.column(column))
+    if pa.types.is_string(values.type):
+        values = _instants(source, column, values)
+    if pa.types.is_date(values.type):
+        values = pc.cast(values, pa.timestamp("s"))
+    if not pa.types.is_timestamp(values.type):
+        return numbers(source, pa.table({column: values}), column), None
+    absent = values.is_null().to_numpy()
+    if absent.any():
+        row = int(np.argmax(absent))
+        raise InputError(f"{source}: column {column}, row {row + 1} has no time", remedies=("give every row a time",))
+    per_second = {"s": 1, "ms": 10**3, "us": 10**6, "ns": 10**9}[values.type.unit]
+    ticks = pc.cast(values, pa.int64()).to_numpy()
+    since = int(ticks[0])
+    try:
+        start = datetime.fromtimestamp(0, UTC) + timedelta(microseconds=since * 10**6 // per_second)
+    except OverflowError as error:
+        raise InputError(
+            f"{source}: column {column}, row 1 is {since} {values.type.unit} after 1970",
+            why="that is no date",
+            remedies=("give seconds or dates",),
+        ) from error
+    # Differences of whole ticks are exact; only the division rounds.
+    return (ticks - since) / float(per_second), start if values.type.tz else start.replace(tzinfo=None)
+
+
+def _instants(source: str, column: str, values: Any) -> Any:
+    """Text that is numbers, or ISO 8601 dates with or without an offset; the rest is refused with its row."""
+    import pyarrow as pa
+    import pyarrow.compute as pc
+
+    text = pc.call_function("utf8_trim_whitespace", [values])
+    # Nanoseconds reach from 1678 to 2262; microseconds serve the clocks that were never set.
+    kinds = [pa.float64(), *(pa.timestamp(unit, zone) for unit in ("ns", "us") for zone in (None, "UTC"))]
+    for kind in kinds:
+        with suppress(pa.ArrowInvalid):
+            return pc.cast(text, kind)
+    row = max(_first_unlike(text, kind) for kind in kinds)
+    kind_of_time = "a time like those above" if row else "a time"
+    raise InputError(
+        f"{source}: column {column}, row {row + 1} is {text[row].as_py()!r:.60}, not {kind_of_time}",
+        remedies=("give seconds, or ISO 8601 times such as 2026-03-01T12:00:00.020Z, in every row",),
+    )
+
+
+def shown(table: pa.Table, column: str, row: int) -> str:
+    """A cell as text, for messages."""
+    import pyarrow as pa
+    import pyarrow.compute as pc
+
+    return str(pc.cast(table.column(column)[row], pa.string()).as_py())

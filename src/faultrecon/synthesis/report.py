@@ -1,0 +1,73 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""What a design reports about itself: levels, gains, poles, steps, noise."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from faultrecon.graph.observer import Observer
+from faultrecon.numerics.discretise import held_noise_covariance, rk4_polynomial_limit
+from faultrecon.plant.plant import Plant
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class DesignReport:
+    """Numbers about a design, all measured on the gains that ship.
+
+    poles in rad/s; largest_step in s (classical Runge-Kutta, linear part); noise_sd: standard deviation of each
+    reconstructed fault that the declared sensor noise alone causes, in the fault's unit (None: no noise declared).
+    """
+
+    criterion: str
+    backoff: float
+    pole_bound: float | None
+    bounded_optimum: float | None
+    gain_norms: Mapping[str, float]
+    fastest_pole: float
+    slowest_pole: float
+    largest_step: float
+    noise_sd: Mapping[str, float] | None
+    solves: tuple[str, ...]
+    seconds: float
+    notes: tuple[str, ...] = ()
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain values for files and `--json`."""
+        return {**self.__dict__, "gain_norms": dict(self.gain_norms), "solves": list(self.solves)} | {
+            "noise_sd": None if self.noise_sd is None else dict(self.noise_sd),
+            "notes": list(self.notes),
+            "largest_step": self.largest_step if np.isfinite(self.largest_step) else None,
+        }
+
+
+def fault_noise(plant: Plant, observer: Observer) -> dict[str, float] | None:
+    """Standard deviation of each f̂ under the declared sensor noise, held per sample: f̂ = Cf z + Df v, linear part."""
+    if plant.noise is None or np.any(np.linalg.eigvals(observer.A).real >= 0):
+        return None
+    m = observer.inputs
+    variances = np.square(plant.noise.sd)
+    covariance = held_noise_covariance(observer.A, observer.B[:, m:], variances, plant.noise.hold)
+    # A sample is in y before it has moved the state, so at a sample instant the two parts are uncorrelated.
+    direct = observer.Df[:, m:] * np.sqrt(variances)
+    total = observer.Cf @ covariance @ observer.Cf.T + direct @ direct.T
+    return {f.name: float(np.sqrt(max(v, 0.0))) for f, v in zip(plant.faults, np.diag(total), strict=True)}
+
+
+def describe(plant: Plant, observer: Observer, gains: Mapping[str, Array], **known: Any) -> DesignReport:
+    """The report of a design; `known` holds what the pipeline alone can tell."""
+    poles = observer.poles
+    return DesignReport(
+        gain_norms={name: float(np.linalg.norm(value, 2)) if value.size else 0.0 for name, value in gains.items()},
+        fastest_pole=float(np.abs(poles).max()),
+        slowest_pole=float(np.abs(poles.real).min()),
+        largest_step=rk4_polynomial_limit(poles),
+        noise_sd=fault_noise(plant, observer),
+        **known,
+    )
