@@ -356,6 +356,9 @@ def plant_file(x0, u0, y0, A, B, C, D, Ew, Fw):
         lines += ["[[disturbance]]", f'name = "{name}"  # {unit}',
                   "into = " + toml_table(into, into.values()), "on   = " + toml_table(on, on.values()),
                   f"size = {size}", 'role = "attenuate"']  # fmt: skip
+    for name, sensor in SENSORS.items():
+        lines += ["[[disturbance]]", f'name = "noise_{name}"', f"on   = {{ {name} = 1.0 }}", f"size = {sensor[2]!r}",
+                  'role = "attenuate"']  # fmt: skip
     for name, size in FAULTS.items():
         lines += ["[[fault]]", f'name = "{name}"', f'sensor = "{name}"', 'effect = "additive"', f"size = {size:.4f}"]
     return "\n".join(lines) + "\n"

@@ -49,7 +49,7 @@ def thin(graph, points):
     return [(np.broadcast_to(y.lo, len(points)), np.broadcast_to(y.hi, len(points))) for y in outputs]
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=100, deadline=None)
 @given(st.lists(FORMULAS, min_size=1, max_size=2), BOXES, st.integers(0, 2**32 - 1))
 def test_no_point_of_a_box_escapes_its_enclosure(formulas, box, seed):
     graph = Graph.from_texts(formulas, {"x": NAMES})
@@ -66,7 +66,7 @@ def test_no_point_of_a_box_escapes_its_enclosure(formulas, box, seed):
             assert (np.abs(values[outside, i] - below) <= slack + (above - below)).all()
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=100, deadline=None)
 @given(st.lists(FORMULAS, min_size=1, max_size=2), BOXES, st.integers(0, 2**32 - 1))
 def test_no_secant_is_steeper_than_the_proved_constant(formulas, box, seed):
     graph = Graph.from_texts(formulas, {"x": NAMES})
@@ -81,7 +81,7 @@ def test_no_secant_is_steeper_than_the_proved_constant(formulas, box, seed):
     assert found.lower <= found.value
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=100, deadline=None)
 @given(FORMULAS, BOXES, st.integers(0, 2**32 - 1))
 def test_no_derivative_is_larger_than_the_proved_constant(formula, box, seed):
     graph = Graph.from_texts([formula], {"x": NAMES})
@@ -98,8 +98,9 @@ EXACT = {
     "sin": (lambda x: x.sin(), -50, 50), "cos": (lambda x: x.cos(), -50, 50), "tan": (lambda x: x.tan(), -1.5, 1.5),
     "asin": (lambda x: x.asin(), -1, 1), "acos": (lambda x: x.acos(), -1, 1), "atan": (lambda x: x.atan(), -50, 50),
     "sinh": (lambda x: x.sinh(), -50, 50), "cosh": (lambda x: x.cosh(), -50, 50), "tanh": (lambda x: x.tanh(), -5, 5),
-    "asinh": (lambda x: x.asinh(), -50, 50), "acosh": (lambda x: x.acosh(), 1, 50), "atanh": (lambda x: x.atanh(), -0.99, 0.99),
-    "exp": (lambda x: x.exp(), -800, 800), "expm1": (lambda x: x.expm1(), -50, 50), "log": (lambda x: x.log(), 1e-9, 50),
+    "asinh": (lambda x: x.asinh(), -50, 50), "acosh": (lambda x: x.acosh(), 1, 50),
+    "atanh": (lambda x: x.atanh(), -0.99, 0.99), "exp": (lambda x: x.exp(), -800, 800),
+    "expm1": (lambda x: x.expm1(), -50, 50), "log": (lambda x: x.log(), 1e-9, 50),
     "log1p": (lambda x: x.log1p(), -0.99, 50), "sqrt": (lambda x: x.sqrt(), 0, 50), "abs": (lambda x: abs(x), -5, 5),
     "sq": (lambda x: x * x, -5, 5), "neg": (lambda x: -x, -5, 5), "floor": (lambda x: x.floor(), -5, 5),
     "ceil": (lambda x: x.ceil(), -5, 5), "sign": (lambda x: x.sgn(), -5, 5),

@@ -204,9 +204,7 @@ class _Search:
         broken = ~np.isfinite(slopes.lo).all(axis=(1, 2)) | ~np.isfinite(slopes.hi).all(axis=(1, 2))
         if broken.any():
             j = int(np.argmax(broken))
-            raise _undefined(
-                self.graph, algebra.of.failures, j, points, points, f"no Lipschitz constant in '{self.wrt}'"
-            )
+            self._refuse(points[:, [j]], points[:, [j]])
         j = int(np.argmax(steep))
         if steep[j] > self.best:
             self.best, self.at = float(steep[j]), tuple(map(float, points[:, j]))

@@ -31,9 +31,9 @@ class Slope:
 class SlopeAlgebra:
     """The operations of a graph on values that carry their derivatives.
 
-    choices: for the i-th abs, min, max or switch met, whether its first piece is taken where the box leaves that open
-    (unnamed ones give the hull of both). open: for each of them, the boxes that do. Almost everywhere the gradient is
-    that of some choice, so the worst of all choices bounds a Lipschitz constant, and better than the hull does.
+    choices: for the i-th abs, min, max or condition met, whether its first piece is taken (it is true) where the box
+    leaves that open; unnamed ones give the hull of both. open: for each of them, the boxes that do. Almost everywhere
+    the gradient is that of some choice, so the worst of all bounds a Lipschitz constant, and better than the hull does.
     """
 
     of: IntervalAlgebra = field(default_factory=IntervalAlgebra)
@@ -227,8 +227,12 @@ class SlopeAlgebra:
         return Slope(self.of.max(a.value, b.value), self._piece(first, second, a.by, b.by))
 
     def _test(self, name: str, a: Slope, b: Slope, value: Interval) -> Slope:
-        """A truth value: flat, or it jumps."""
-        return self._steps(name, b if a.by is None else a, value)
+        """A truth value: flat, or it jumps; of other inputs alone it holds still, and may be either."""
+        if a.by is not None or b.by is not None:
+            return self._steps(name, b if a.by is None else a, value)
+        take = self.choices.get(len(self.open))
+        self.open.append(value.lo < value.hi)
+        return Slope(value if take is None else choose(self.open[-1], _ONE if take else _ZERO, value))
 
     def lt(self, a: Slope, b: Slope) -> Slope:
         return self._test("a comparison", a, b, self.of.lt(a.value, b.value))
@@ -254,8 +258,8 @@ class SlopeAlgebra:
     def if_else_zero(self, c: Slope, x: Slope) -> Slope:
         value = self.of.if_else_zero(c.value, x.value)
         on, off = (c.value.lo > 0.0) | (c.value.hi < 0.0), (c.value.lo == 0.0) & (c.value.hi == 0.0)
-        by = self._piece(on, off, x.by, None)
-        # A condition on other inputs alone holds still while the variables move: no jump, one of the two slopes.
+        either = hull(x.by or _ZERO, _ZERO)
+        by = None if x.by is None and c.by is None else choose(on, x.by or _ZERO, choose(off, _ZERO, either))
         return Slope(value, by if c.by is None else self._jump("if_else", ~on & ~off, c, by))
 
 

@@ -31,7 +31,7 @@ def norm_above(entries: Interval) -> Array:
         bound = np.minimum(bound, _spectral(middle) + np.minimum(_frobenius(radius), _schur(radius)))
     # Sums, products and roots of n nonnegative terms lose at most n + 10 roundings of 1.1e-16 each.
     slack = 1.0 + 1e-15 * (10 + lo.shape[1] * lo.shape[2])
-    above[bounded] = np.nextafter(bound * slack * scale[:, 0, 0], np.inf)
+    above[bounded] = np.where(bound > 0.0, np.nextafter(bound * slack * scale[:, 0, 0], np.inf), 0.0)
     return above
 
 

@@ -12,6 +12,7 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from faultrecon.finding import InputError
 
@@ -33,7 +34,7 @@ _BINARY = ["add", "sub", "mul", "div", "pow", "atan2", "hypot", "min", "max", "l
 OPERATIONS: Mapping[str, int] = MappingProxyType({**dict.fromkeys(_UNARY, 1), **dict.fromkeys(_BINARY, 2)})
 
 
-def walk(graph: Graph, algebra: Any, *inputs: Sequence[Any]) -> list[Any]:
+def walk(graph: Graph, algebra: Any, *inputs: Sequence[Any] | NDArray[Any]) -> list[Any]:
     """Play the instructions of a graph through an algebra; one value per output comes back.
 
     algebra: a mapping or an object that has `const(float)` and, by the names in `OPERATIONS`, every operation the graph

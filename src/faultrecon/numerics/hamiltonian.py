@@ -61,7 +61,7 @@ def stable_subspace(F: Array, Q: Array, S: Array) -> StableSubspace | Array:
     stable = real < 0
     if int(stable.sum()) != n:
         return np.zeros(0)
-    T, U, _, _, _, _, _, info = lapack.dtrsen(stable.astype(np.int32), T, U, job="N")
+    T, U, _, _, _, _, _, info = lapack.dtrsen(stable.astype(np.int32), T, U, job=b"N")
     if info != 0:
         return np.zeros(0)
     return StableSubspace(U[:n, :n], U[n:, :n], T[:n, :n], unit)

@@ -24,6 +24,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from faultrecon.finding import Impossible, Inconclusive
 from faultrecon.numerics.hamiltonian import StableSubspace, signs, stable_subspace
+from faultrecon.numerics.hinf import frequency_response
+from faultrecon.numerics.pencil import RANK_TOLERANCE, undetectable_modes, unobservable_subspace
 from faultrecon.numerics.scaling import scale_states, spectral_norm, state_scaling
 
 Array = NDArray[Any]
@@ -89,10 +91,335 @@ class Search:
     cuts: list[Cut] = field(default_factory=list)
     schur_count: int = 0
 
-    def level(self, beta: float) -> tuple[float, Cut | None]:
-        """The highest lower bound at beta and the cut it comes from."""
+    def bound(self, beta: float) -> tuple[float, Cut | None]:
+        """The highest lower bound on g at beta and the cut it comes from."""
         if not self.cuts:
             return 0.0, None
         levels = [cut.level(beta) for cut in self.cuts]
         k = int(np.argmax(levels))
         return levels[k], self.cuts[k]
+
+
+def optimal_level(
+    A: ArrayLike,
+    Bphi: ArrayLike,
+    B: ArrayLike,
+    C1: ArrayLike,
+    E1: ArrayLike,
+    H1: ArrayLike,
+    H2: ArrayLike,
+    G: ArrayLike,
+    alpha: float,
+    *,
+    beta: float | None = None,
+    rtol: float = 1e-8,
+) -> LevelSolution:
+    """The smallest gamma any gain L can prove for the Lipschitz filter problem, over beta too unless it is given.
+
+    A: (n, n), Bphi: (n, m), B: (n, l), C1: (p1, n), E1: (p1, l) of full row rank, H1: (q, n), H2: (q, l), G: (k, n).
+    m = 0 or alpha = 0 is the plain H-infinity filter.  gamma is within rtol of the infimum, from above.  Raises
+    Inconclusive when E1 lacks row rank (this route then does not apply) or no level was accepted, Impossible when a mode
+    is undetectable or no (beta, gamma) satisfies the inequality.
+    """
+    problem = filter_problem(A, Bphi, B, C1, E1, H1, H2, G, alpha)
+    search = Search()
+    grid = _frequencies(problem)
+    slack = 0.5 * rtol
+    if problem.Bf.shape[1] == 0 or beta is not None:
+        at = 1.0 if beta is None else float(beta)
+        search.cuts += frequency_cuts(problem, grid, at, problem.least)
+        g, accepted = _accepted_level(problem, search, at, np.inf, 2 * slack)
+        if not accepted:
+            raise _no_level(search, beta)
+        lower = max(search.bound(at)[0], problem.least)
+        return LevelSolution(_root(g), beta if problem.Bf.shape[1] else None, search.schur_count, _root(lower))
+    start = _first_beta(problem, search, grid)
+    best_beta, g, lower = _search_beta(problem, search, start, slack)
+    return LevelSolution(_root(g), best_beta, search.schur_count, _root(lower))
+
+
+def filter_problem(
+    A: ArrayLike,
+    Bphi: ArrayLike,
+    B: ArrayLike,
+    C1: ArrayLike,
+    E1: ArrayLike,
+    H1: ArrayLike,
+    H2: ArrayLike,
+    G: ArrayLike,
+    alpha: float,
+) -> FilterProblem:
+    """Eliminate what the healthy outputs show, balance the units, drop states nothing disturbs and that decay."""
+    from scipy.linalg import solve_triangular
+
+    A, Bphi, B, C1, E1, H1, H2, G = (np.asarray(M, dtype=float) for M in (A, Bphi, B, C1, E1, H1, H2, G))
+    if not full_row_rank(E1):
+        raise Inconclusive(
+            "the Riccati route does not apply",
+            why="some combination of the healthy outputs carries no noise (E1 lacks row rank)",
+            remedies=("solve the linear matrix inequality instead", "declare noise on every healthy sensor"),
+        )
+    hidden = undetectable_modes(A, C1)
+    if hidden:
+        raise Impossible(
+            f"the mode {hidden[0].value:.4g} is not seen by the healthy outputs and does not decay",
+            why="no gain can make the error decay",
+            evidence={"direction": np.real(hidden[0].direction).tolist()},
+        )
+    if alpha == 0 or not np.any(G) or not np.any(Bphi):
+        Bphi, G = Bphi[:, :0], G[:0]
+    C = np.vstack([C1, alpha * G, H1])
+    A, Bs, C = scale_states(A, np.hstack([Bphi, B]), C, state_scaling(A, np.hstack([Bphi, B]), C))
+    Bf, B = Bs[:, : Bphi.shape[1]], Bs[:, Bphi.shape[1] :]
+    p1, k = C1.shape[0], G.shape[0]
+    C1, G, H1 = C[:p1], C[p1 : p1 + k], C[p1 + k :]
+    Q, R = np.linalg.qr(E1.T, mode="complete")
+    shown, free = Q[:, :p1], Q[:, p1:]
+    Cn = solve_triangular(R[:p1], C1, trans="T") if p1 else C1
+    A0, B0 = A - B @ shown @ Cn, B @ free
+    H0, H20 = H1 - H2 @ shown @ Cn, H2 @ free
+    V = _disturbed_states(A0, np.hstack([Bf, B0]))
+    least = spectral_norm(H2) ** 2
+    return FilterProblem(V.T @ A0 @ V, V.T @ Bf, V.T @ B0, Cn @ V, H0 @ V, H20, G @ V, least)
+
+
+def full_row_rank(E1: ArrayLike) -> bool:
+    """Whether every combination of the healthy outputs carries noise, the rows measured each in its own size."""
+    E1 = np.asarray(E1, dtype=float)
+    if E1.shape[0] == 0:
+        return True
+    rows = np.linalg.norm(E1, axis=1, keepdims=True)
+    if E1.shape[0] > E1.shape[1] or not rows.all():
+        return False
+    # 1e-7: the noise enters squared, and its square must stand clear of eps.
+    return bool(np.linalg.svd(E1 / rows, compute_uv=False)[-1] > 1e-7)
+
+
+def _disturbed_states(A: Array, B: Array) -> Array:
+    """Orthonormal basis of the states left when those that B never reaches, and that do not grow, are set to zero."""
+    from scipy.linalg import schur
+
+    n = A.shape[0]
+    N = unobservable_subspace(A.T, B.T, RANK_TOLERANCE)
+    if N.shape[1] == 0:
+        return np.eye(n)
+    M = N.T @ A.T @ N
+    marginal = 1e-9 * spectral_norm(A)
+    _, Z, count = schur(M - marginal * np.eye(M.shape[0]), sort="lhp")
+    quiet = N @ Z[:, :count]
+    return np.asarray(np.linalg.qr(np.hstack([quiet, np.eye(n)]))[0])[:, count:]
+
+
+def _frequencies(problem: FilterProblem) -> Array:
+    """Where the first lower bounds are taken: a logarithmic grid, and the flanks of the poles."""
+    poles = np.linalg.eigvals(problem.A0).astype(np.complex128)
+    size = np.abs(poles)[np.abs(poles) > 1e-9 * np.max(np.abs(poles), initial=1e-300)]
+    low, high = (size.min() / 10, size.max() * 10) if size.size else (0.1, 10.0)
+    w = np.concatenate([[0.0, np.inf], np.geomspace(low, high, 40), np.abs(poles.imag), np.abs(poles)])
+    return np.unique(w)
+
+
+def frequency_cuts(problem: FilterProblem, w: Array, beta: float, least: float) -> list[Cut]:
+    """The strongest half plane at beta among those the inequality demands at the frequencies w.
+
+    At frequency w every (dphi, nu) must have beta (|dphi|^2 - |alpha G x|^2) + g |w|^2 >= |H x|^2: linear in (beta, g).
+    For each frequency Newton's method finds the g at which the smallest eigenvalue of that form becomes zero.
+    """
+    m, r, n = problem.Bf.shape[1], problem.B0.shape[1], problem.A0.shape[0]
+    k, q, c = problem.G.shape[0], problem.H0.shape[0], problem.Cn.shape[0]
+    if m + r == 0 or w.size == 0:
+        return []
+    D = np.zeros((c + q + k, m + r))
+    D[c : c + q, m:] = problem.H20
+    out = np.vstack([problem.Cn, problem.H0, problem.G])
+    Y = frequency_response(problem.A0, np.hstack([problem.Bf, problem.B0]), out.reshape(-1, n), D, w)
+    Y = Y[np.all(np.isfinite(Y), axis=(1, 2))]
+    Yc, Yh, Yg = Y[:, :c], Y[:, c : c + q], Y[:, c + q :]
+    Mb = np.diag([1.0] * m + [0.0] * r) - _gram(Yg)
+    Mg = np.diag([0.0] * m + [1.0] * r) + _gram(Yc)
+    M0 = _gram(Yh)
+    g = np.full(Y.shape[0], max(least, np.finfo(float).tiny))
+    strongest: Cut | None = None
+    for _ in range(20):
+        d = np.where(np.arange(m + r) < m, 1 / np.sqrt(beta), 1 / np.sqrt(np.maximum(g, 1e-300))[:, None])
+        form = (beta * Mb + g[:, None, None] * Mg - M0) * d[:, :, None] * d[:, None, :]
+        value, z = np.linalg.eigh(form)
+        z = z[:, :, 0] * d
+        b, g0, h0 = (np.einsum("ki,kij,kj->k", z.conj(), M, z).real for M in (Mb, Mg, M0))
+        with np.errstate(divide="ignore", invalid="ignore"):
+            new = np.where(value[:, 0] < 0, (h0 - beta * b) / g0, g)
+        new = np.where(np.isfinite(new), new, np.inf)
+        j = int(np.argmax(new))
+        if new[j] > g[j]:
+            strongest = _cut(b[j], g0[j], h0[j])
+        if not np.isfinite(new[j]) or new[j] > 1e30 or np.all(new <= g * (1 + 1e-13)):
+            break
+        g = np.maximum(g, new)
+    return [] if strongest is None else [strongest]
+
+
+def test_level(problem: FilterProblem, search: Search, beta: float, g: float) -> tuple[bool, list[Cut]]:
+    """Whether (beta, g) is feasible, and half planes that contain the feasible set (through this point if it is not)."""
+    p = problem
+    S0 = np.linalg.inv(g * np.eye(p.H20.shape[1]) - p.H20.T @ p.H20)
+    h = p.H20.T @ p.H0
+    At = p.A0 + p.B0 @ S0 @ h
+    S = p.Bf @ p.Bf.T / beta + p.B0 @ S0 @ p.B0.T
+    Q = beta * p.G.T @ p.G + p.H0.T @ p.H0 + h.T @ S0 @ h - g * p.Cn.T @ p.Cn
+    search.schur_count += 1
+    found = stable_subspace(At.T, 0.5 * (Q + Q.T), 0.5 * (S + S.T))
+    if not isinstance(found, StableSubspace):
+        middle = np.concatenate([0.5 * (found[1:] + found[:-1]), np.sqrt(found[1:] * found[:-1])])
+        return False, frequency_cuts(p, np.concatenate([found, middle]), beta, g)
+    sine, Z = signs(found)
+    accepted = bool(sine.size == 0 or sine[0] >= -POSITIVE)
+    count = 1 if accepted else min(3, int(np.count_nonzero(sine < -POSITIVE)))
+    return accepted, [_gain_cut(p, found, S0, beta, g, sine[k], Z[:, k]) for k in range(min(count, sine.size))]
+
+
+def _gain_cut(
+    p: FilterProblem, found: StableSubspace, S0: Array, beta: float, g: float, sine: float, z: Array
+) -> Cut:
+    """The tangent of v'P v >= 0 for v = U2 z: v'P v is concave in (beta, g), P being the largest solution."""
+    from scipy.linalg import lapack
+
+    W, scale, _ = lapack.dtrsyl(found.T, found.T, -np.outer(z, z), trana=b"N", tranb=b"T")
+    W = 0.5 * (W + W.T) / scale
+    U1, U2 = found.U1 / found.unit, found.U2
+    J = S0 @ (p.B0.T @ U1 + p.H20.T @ p.H0 @ U2)
+
+    def trace(M: Array) -> float:
+        return float(np.sum((M @ W) * M))
+
+    along_g = trace(p.Cn @ U2) + trace(J)
+    along_beta = trace(p.Bf.T @ U1) / beta**2 - trace(p.G @ U2)
+    return _cut(along_beta, along_g, along_g * g + along_beta * beta - float(sine) / found.unit)
+
+
+def _accepted_level(
+    problem: FilterProblem, search: Search, beta: float, ceiling: float, slack: float
+) -> tuple[float, bool]:
+    """Raise the lower bound at beta by the cuts until a level just above it is accepted, or it passes the ceiling."""
+    g = max(search.bound(beta)[0], problem.least, _tiny(problem))
+    margin = slack
+    for _ in range(80):
+        if not g < ceiling or not np.isfinite(g) or g > 1e24 * max(_tiny(problem), problem.least):
+            return g, False
+        trial = g * (1 + margin)
+        accepted, cuts = test_level(problem, search, beta, trial)
+        search.cuts += cuts
+        if accepted:
+            return trial, True
+        higher = max((cut.level(beta) for cut in cuts), default=0.0)
+        if higher > trial:
+            g, margin = higher, slack
+        else:  # rounding hides the cut: go up by growing steps
+            g, margin = trial, 4 * margin
+    return np.inf, False
+
+
+def _first_beta(problem: FilterProblem, search: Search, grid: Array) -> float:
+    """The beta the frequency-wise bounds alone would choose: no Schur form is spent on it."""
+    beta = 1.0
+    for _ in range(40):
+        before = search.bound(beta)[0]
+        search.cuts += frequency_cuts(problem, grid, beta, max(problem.least, _tiny(problem)))
+        if search.bound(beta)[0] <= before * (1 + 1e-3):
+            break
+        lowest = _lowest(search)
+        beta = float(np.clip(lowest[0], beta / 1e3, beta * 1e3))
+    return beta
+
+
+def _lowest(search: Search) -> tuple[float, float]:
+    """The minimum over beta >= 0 of the lower bound, and where it is: two lines at a time, as for any convex polygon."""
+    low, high = 0.0, 1e30
+    left, right = search.bound(low)[1], search.bound(high)[1]
+    if left is None or right is None:
+        return 1.0, 0.0
+    if left.a <= 0 and np.isfinite(search.bound(low)[0]):
+        return low, search.bound(low)[0]
+    for _ in range(200):
+        beta = _crossing(left, right, low, high)
+        level, active = search.bound(beta)
+        if active is None or active is left or active is right or not low < beta < high:
+            return beta, level
+        if active.a > 0:
+            low, left = beta, active
+        else:
+            high, right = beta, active
+    return beta, level
+
+
+def _crossing(left: Cut, right: Cut, low: float, high: float) -> float:
+    """Where a falling and a rising lower bound meet."""
+    det = left.a * right.b - right.a * left.b
+    if det == 0:
+        return np.sqrt(max(low, 1e-30) * high)
+    return (left.c * right.b - right.c * left.b) / det
+
+
+def _search_beta(problem: FilterProblem, search: Search, beta: float, slack: float) -> tuple[float, float, float]:
+    """Close the gap between the best accepted level and the lowest point of all cuts; (beta, g, lower bound)."""
+    best_beta, best = beta, np.inf
+    ends: dict[bool, tuple[float, float]] = {}  # falling?: (log beta, d g / d log beta)
+    last: bool | None = None
+    lower = 0.0
+    for _ in range(60):
+        g, accepted = _accepted_level(problem, search, beta, best, slack)
+        if accepted and g < best:
+            best_beta, best = beta, g
+        lowest, lower = _lowest(search)
+        lower = max(lower, problem.least, _tiny(problem))
+        if best <= lower * (1 + 4 * slack):
+            break
+        if not np.isfinite(lower):
+            raise _no_level(search, None)
+        cut = search.bound(beta)[1]
+        falling = cut is not None and cut.a > 0
+        if falling == last and (not falling) in ends:  # Illinois: halve the slope of the end that stays
+            x, t = ends[not falling]
+            ends[not falling] = x, 0.5 * t
+        last = falling
+        ends[falling] = np.log(beta), beta * cut.slope() if cut is not None else 0.0
+        beta = _next_beta(ends, beta, lowest)
+    if not np.isfinite(best):
+        raise _no_level(search, None)
+    return best_beta, best, lower
+
+
+def _next_beta(ends: dict[bool, tuple[float, float]], beta: float, lowest: float) -> float:
+    """Between two ends where the slope, linear in log beta, vanishes; before that where the cuts are lowest."""
+    if len(ends) < 2:
+        return float(np.clip(lowest, beta / 100, beta * 100))
+    (xl, tl), (xr, tr) = ends[True], ends[False]
+    x = xl - tl * (xr - xl) / (tr - tl) if tr > tl else 0.5 * (xl + xr)
+    return float(np.exp(np.clip(x, xl + 1e-3 * (xr - xl), xr - 1e-3 * (xr - xl))))
+
+
+def _cut(a: float, b: float, c: float) -> Cut:
+    return Cut(float(a), float(b), float(c))
+
+
+def _gram(Y: Array) -> Array:
+    return Y.conj().transpose(0, 2, 1) @ Y
+
+
+def _root(g: float) -> float:
+    return float(np.sqrt(g))
+
+
+def _tiny(problem: FilterProblem) -> float:
+    """A level that is zero for every purpose: 1e-9 of a crude gain."""
+    p = problem
+    gain = spectral_norm(p.H0) * spectral_norm(np.hstack([p.Bf, p.B0])) / max(spectral_norm(p.A0), 1e-300)
+    return max((1e-9 * gain) ** 2, 1e-18 * problem.least, 1e-300)
+
+
+def _no_level(search: Search, beta: float | None) -> Impossible | Inconclusive:
+    at = "" if beta is None else f" for beta = {beta:g}"
+    return Impossible(
+        f"no level gamma satisfies the inequality{at}",
+        why="the nonlinearity is too strong for the healthy outputs" if beta is not None else "",
+        evidence={"schur_count": search.schur_count},
+    )

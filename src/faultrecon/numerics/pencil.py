@@ -45,7 +45,7 @@ def unobservable_modes(A: ArrayLike, C: ArrayLike, *, tol: float = RANK_TOLERANC
     are replaced by their mean.  Measuring a state in other units changes only the units of the direction.
     """
     A, C, unit = _balanced(np.asarray(A, dtype=float), np.asarray(C, dtype=float))
-    N = _unobservable_subspace(A, C, tol)
+    N = unobservable_subspace(A, C, tol)
     modes = []
     for value, y in _eigendirections(N.T @ A @ N):
         v = unit * (N @ y)
@@ -128,7 +128,7 @@ def _balanced(A: Array, C: Array) -> tuple[Array, Array, Array]:
     return A, C, np.ldexp(1.0, e)
 
 
-def _unobservable_subspace(A: Array, C: Array, tol: float) -> Array:
+def unobservable_subspace(A: Array, C: Array, tol: float) -> Array:
     """Orthonormal basis of the largest A-invariant subspace of ker C: V <- {v in V : A v in V}, one SVD per step."""
     N = _kernel(C, tol * spectral_norm(C))
     limit = tol * spectral_norm(A)

@@ -38,7 +38,8 @@ Mask = NDArray[np.bool_]
 
 REGULAR = 1e-6  # relative: how far an interval may be from the sample time and still count as one
 COMFORT = 1 / 3  # of the RK4 limit: there |h s| <= 0.93 and one step errs by less than |h s|^5/120 = 0.6 % of a mode
-REMEMBERED = 4096  # lengths of irregular intervals whose matrices are kept
+REMEMBERED = 8_000_000  # numbers: how much of the matrices of irregular intervals is kept, 64 MB
+PATTERNS = 256  # kernels kept, one per pair of gap patterns met
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -283,6 +284,8 @@ class Estimator:
             stepper = Stepper(*arguments, self.hold, self.scheme, self.sample_time)
             if self.scheme == "rk4" and during.any() and self.sample_time > _limit(stepper.A):
                 stepper = Stepper(*arguments, self.hold, "zoh", self.sample_time)
+            if len(self._steppers) >= PATTERNS:
+                self._steppers.clear()
             self._steppers[key] = stepper
         return self._steppers[key]
 
@@ -294,9 +297,10 @@ class Estimator:
         length = max(1, round(h / grain))
         key = stepper.during.from_z.tobytes(), length
         if key not in self._packed:
-            if len(self._packed) >= REMEMBERED:
-                self._packed.pop(next(iter(self._packed)))
-            self._packed[key] = stepper.pack(length * grain)
+            packed = stepper.pack(length * grain)
+            if len(self._packed) * packed.size >= REMEMBERED:
+                self._packed.clear()
+            self._packed[key] = packed
         return self._packed[key]
 
     @cached_property
@@ -397,7 +401,9 @@ def _check_sizes(observer: Observer, prediction: Prediction | None) -> None:
     wanted = {"A": (nz, nz), "B": (nz, m + p), "Cx": (n, nz), "Dx": (n, m + p), "Cf": (q, nz), "Df": (q, m + p)}
     for name, shape in (wanted | {"F": (p, q)}).items():
         if getattr(o, name).shape != shape:
-            raise InputError(f"the observer's {name} is {getattr(o, name).shape}", why=f"its other parts ask for {shape}")
+            raise InputError(
+                f"the observer's {name} is {getattr(o, name).shape}", why=f"its other parts ask for {shape}"
+            )
     if prediction is not None and (prediction.C.shape != (p, n) or prediction.D.shape != (p, m)):
         raise InputError(
             f"the prediction has C {prediction.C.shape} and D {prediction.D.shape}",
