@@ -1,1 +1,81 @@
 # SPDX-License-Identifier: BSD-3-Clause
+"""faultrecon reconstructs faults: the waveform of a sensor fault, the corrected measurement, and a proof.
+
+Everything public is here and loads on first use; importing the package needs the standard library alone.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+__version__ = "0.1.0"
+
+_DOOR = {
+    "load": "faultrecon.io.door",
+    "save": "faultrecon.io.door",
+    "library": "faultrecon.io.door",
+    "library_names": "faultrecon.io.library",
+    "reconstruct": "faultrecon.io.playback",
+    "replay": "faultrecon.io.playback",
+    "read_log": "faultrecon.io.logs",
+    "write_log": "faultrecon.io.logs",
+    "diagnose": "faultrecon.diagnosis.diagnosis",
+    "design": "faultrecon.synthesis.pipeline",
+    "optimum": "faultrecon.synthesis.pipeline",
+    "list_methods": "faultrecon.methods.registry",
+    "cite": "faultrecon.methods.registry",
+    "verify": "faultrecon.certificate",
+    "score": "faultrecon.simulation.metrics",
+    "Plant": "faultrecon.plant.plant",
+    "OperatingPoint": "faultrecon.plant.plant",
+    "Signals": "faultrecon.plant.signals",
+    "Channels": "faultrecon.plant.signals",
+    "Noise": "faultrecon.plant.signals",
+    "FaultChannel": "faultrecon.plant.fault",
+    "Disturbance": "faultrecon.plant.fault",
+    "Lipschitz": "faultrecon.plant.lipschitz",
+    "Graph": "faultrecon.graph.function",
+    "Design": "faultrecon.synthesis.pipeline",
+    "Certificate": "faultrecon.certificate",
+    "Diagnosis": "faultrecon.diagnosis.diagnosis",
+    "Estimator": "faultrecon.runtime.estimator",
+    "Log": "faultrecon.io.logs",
+    "Finding": "faultrecon.finding",
+    "FaultreconError": "faultrecon.finding",
+    "InputError": "faultrecon.finding",
+    "Impossible": "faultrecon.finding",
+    "Inconclusive": "faultrecon.finding",
+}
+
+__all__ = ["__version__", *sorted(_DOOR)]
+
+if TYPE_CHECKING:
+    from faultrecon.certificate import Certificate, verify
+    from faultrecon.diagnosis.diagnosis import Diagnosis, diagnose
+    from faultrecon.finding import FaultreconError, Finding, Impossible, Inconclusive, InputError
+    from faultrecon.graph.function import Graph
+    from faultrecon.io.door import library, load, save
+    from faultrecon.io.library import library_names
+    from faultrecon.io.logs import Log, read_log, write_log
+    from faultrecon.io.playback import reconstruct, replay
+    from faultrecon.methods.registry import cite, list_methods
+    from faultrecon.plant.fault import Disturbance, FaultChannel
+    from faultrecon.plant.lipschitz import Lipschitz
+    from faultrecon.plant.plant import OperatingPoint, Plant
+    from faultrecon.plant.signals import Channels, Noise, Signals
+    from faultrecon.runtime.estimator import Estimator
+    from faultrecon.simulation.metrics import score
+    from faultrecon.synthesis.pipeline import Design, design, optimum
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _DOOR:
+        raise AttributeError(f"module 'faultrecon' has no attribute '{name}'")
+    value = getattr(import_module(_DOOR[name]), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return list(__all__)

@@ -256,15 +256,39 @@ def _check(step: Step, letters: Mapping[str, Dyadic], algebra: DyadicAlgebra) ->
     )
 
 
-def load_certificate(path: str) -> Certificate:
-    """The certificate in a design file.  Raises InputError on a file that is not one."""
+def read_document(path: str) -> dict[str, Any]:
+    """A design file as plain values.  Raises InputError on a file that is not one."""
     try:
         with open(path, encoding="utf-8") as file:
             document = json.load(file)
     except OSError as error:
         raise InputError(f"{path}: cannot be read", why=str(error.strerror or error)) from error
     except (UnicodeDecodeError, json.JSONDecodeError, RecursionError) as error:
-        raise InputError(f"{path}: not a design file", why=str(error)) from error
+        raise InputError(
+            f"{path}: is no design file", why=f"it is no JSON: {error}", remedies=("write one: faultrecon design",)
+        ) from error
     if not isinstance(document, dict) or document.get("kind") != "faultrecon-design":
-        raise InputError(f"{path}: not a design file", why='its "kind" is not "faultrecon-design"')
-    return Certificate.from_document(document)
+        raise InputError(
+            f"{path}: is no design file",
+            why='its "kind" is not "faultrecon-design"',
+            remedies=("write one: faultrecon design",),
+        )
+    return document
+
+
+def load_certificate(path: str) -> Certificate:
+    """The certificate in a design file.  Raises InputError on a file that is not one."""
+    document = read_document(path)
+    try:
+        return Certificate.from_document(document)
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from error
+
+
+def verify(path: str) -> Verification:
+    """Prove the certificate in a design file again with the standard library alone.
+
+    Raises InputError when the file is no design file.  The verdict is about the statement in the file; whether that is
+    the theorem of its method is checked when the design is loaded.
+    """
+    return load_certificate(path).verify()

@@ -18,10 +18,10 @@ NAMES = [f"x{i + 1}" for i in range(N)]
 LEAVES = st.sampled_from(NAMES) | st.floats(-3, 3, allow_subnormal=False).map(lambda c: f"({c!r})")
 # Every formula is defined everywhere, so that no example is lost to its domain.
 FORMS = [
-    "({0} + {1})", "({0} - {1})", "({0} * {1})", "({0} / (1.5 + {1}**2))", "({0})**3", "({0})**2", "abs({0})",
+    "({0} + {1})", "({0} - {1})", "({0} * {1})", "({0} / (1.5 + {1}**2))", "(({0})**3)", "(({0})**2)", "abs({0})",
     "min({0}, {1})", "max({0}, {1})", "sat({0})", "sin({0})", "cos({0})", "tanh({0})", "atan({0})", "exp(sin({0}))",
     "log(0.1 + ({0})**2)", "sqrt(0.01 + ({0})**2)", "tan(sat({0}))", "asin(0.9*sin({0}))", "acos(0.5*sat({0}))",
-    "sinh(tanh({0}))", "cosh(sat({0}))", "atan2({0}, 1 + abs({1}))", "abs({0})**2.5", "pow(1 + abs({0}), sat({1}))",
+    "sinh(tanh({0}))", "cosh(sat({0}))", "atan2({0}, 1 + abs({1}))", "(abs({0})**2.5)", "pow(1 + abs({0}), sat({1}))",
 ]  # fmt: skip
 FORMULAS = st.recursive(
     LEAVES,
@@ -88,7 +88,9 @@ def test_no_derivative_is_larger_than_the_proved_constant(formula, box, seed):
     found = lipschitz_bound(graph, "x", box, budget=100)
     low, high = np.array(box).T
     moving = high > low  # across a side of no width there is nothing to differ by
-    slopes = np.linalg.norm(graph.jacobian("x").many(points_in(box, 500, seed))[:, 0, moving], axis=1)
+    # Strictly inside: at a kink on a face, half of the slope belongs to the world outside the box.
+    inside = low + np.random.default_rng(seed).uniform(0.01, 0.99, (500, N)) * (high - low)
+    slopes = np.linalg.norm(graph.jacobian("x").many(inside)[:, 0, moving], axis=1)
     # CasADi's derivative, in floating point, of a formula of at most some dozens of operations.
     assert slopes.max(initial=0.0) <= found.value * (1 + 1e-9) + 1e-9
 

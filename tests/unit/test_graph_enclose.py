@@ -176,3 +176,8 @@ def test_the_matrix_norm_bound_is_above_the_norm_and_close_to_it():
         low, high = matrices - 0.1 * abs(matrices), matrices + 0.2 * abs(matrices)
         inside = low + rng.uniform(size=low.shape) * (high - low)
         assert (norm_above(Interval(low, high)) >= np.linalg.norm(inside, 2, axis=(1, 2)) * (1 - 1e-14)).all()
+
+
+def test_a_kink_on_a_face_of_the_box_lends_it_no_slope():
+    found = bound(graph("min(x1, 0)", "min(x1, 0) + max(x1, 0)", n=1), (0.0, 1.0))
+    assert found.lower <= 1.0 <= found.value <= 1.01

@@ -196,8 +196,10 @@ class SlopeAlgebra:
             return None
         a, b = a or _ZERO, b or _ZERO
         take = self.choices.get(len(self.open))
-        self.open.append(~first & ~second)
-        return choose(first, a, choose(second, b, hull(a, b) if take is None else a if take else b))
+        # Where both hold, the pieces meet: at a point of a kink either slope may be one that the box does not have.
+        self.open.append(first == second)
+        chosen = hull(a, b) if take is None else a if take else b
+        return choose(first & ~second, a, choose(second & ~first, b, chosen))
 
     def abs(self, a: Slope) -> Slope:
         value = self.of.abs(a.value)

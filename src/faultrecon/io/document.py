@@ -156,7 +156,7 @@ def read_text(path: str | os.PathLike[str]) -> str:
     """The UTF-8 text of a small file.  Raises InputError: missing, a folder, too large, not UTF-8."""
     file = FilePath(path)
     if file.is_dir():
-        raise InputError(f"{path}: is a folder, not a file")
+        raise InputError(f"{path}: is a folder, not a file", remedies=("name a file in it",))
     try:
         if not file.exists():
             raise InputError(f"{path}: no such file", remedies=_neighbour(file))

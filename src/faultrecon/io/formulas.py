@@ -26,11 +26,15 @@ def nonlinearity(node: Node, signals: Signals) -> Lipschitz:
         _check_reads(entries["phi"], reads, signals.x)
     else:
         reads = used_names(formulas, signals.x.names)
-    phi = _graph(entries, "phi", {"x": reads, "u": signals.u.names, "t": ("t",)})
+    phi = _graph(entries, "phi", {"x": reads, "u": signals.u.names, "t": ("t",)}, signals.x.names)
     into = _columns(entries["into"], signals.x, len(formulas))
     domain = _domain(entries["domain"], phi) if "domain" in entries else {}
     constant, basis = _constant(entries["lipschitz"], phi, domain)
     kept = {name: ends for name, ends in domain.items() if name in reads}
+    if kept != domain and entries["lipschitz"].value != "derive":
+        other = next(name for name in domain if name not in kept)
+        place = entries["domain"].table()[other]
+        place.refuse(f"'{other}' is no state", 'its interval only serves lipschitz = "derive"', "remove it")
     with node.here():
         return Lipschitz(into, reads, phi, constant, basis, kept)
 
@@ -50,15 +54,20 @@ def _formulas(node: Node) -> list[str]:
     return texts
 
 
-def _graph(entries: Mapping[str, Node], key: str, inputs: Mapping[str, Sequence[str]]) -> Graph:
-    """The formulas as a graph; each is read where it stands first, so that a complaint has its line."""
+def _graph(
+    entries: Mapping[str, Node], key: str, inputs: Mapping[str, Sequence[str]], states: Sequence[str] = ()
+) -> Graph:
+    """The formulas as a graph; each is read where it stands first, so that a complaint has its line.
+
+    states: further names that a misspelt one may stand for.
+    """
     import casadi as ca
 
     from faultrecon.graph.parse import parse
 
     taken = [name for names in inputs.values() for name in names]
     constants = _constants(entries["constants"], taken) if "constants" in entries else {}
-    symbols = {name: ca.SX.sym(name) for name in taken}
+    symbols = {name: ca.SX.sym(name) for name in (*taken, *states) if name not in constants}
     texts = _formulas(entries[key])
     for item in entries[key].items():
         parse(item.string(), symbols, constants=constants, where=item.where)

@@ -68,9 +68,7 @@ def _check_reads_back(plant: Plant, text: str) -> None:
         raise InputError(
             f"the plant '{plant.name}' cannot be written as a file", why=str(error), see="the plant file format"
         ) from error
-    written, read = plant.to_dict(), again.to_dict()
-    lost = [key for key in written if written[key] != read[key]]
-    if lost == ["nonlinearity"] and plant.nonlinearity is not None and again.nonlinearity is not None:
+    if plant.nonlinearity is not None and again.nonlinearity is not None:
         ours, theirs = plant.nonlinearity, again.nonlinearity
         if (ours.constant, ours.basis) != (theirs.constant, theirs.basis):
             raise InputError(
@@ -78,6 +76,8 @@ def _check_reads_back(plant: Plant, text: str) -> None:
                 why=f'a file says "derive" for proved, which is {theirs.constant!r} ({theirs.basis}) on this domain',
                 remedies=("use that constant", 'declare yours with basis "assumed"'),
             )
+    written, read = plant.to_dict(), again.to_dict()
+    lost = [key for key in written if written[key] != read[key]]
     if lost:
         raise InputError(f"the plant '{plant.name}' cannot be written as a file", why=f"{lost[0]} would change")
 

@@ -40,7 +40,7 @@ def read_table(source: str) -> pa.Table:
     extension = name_extension(source)
     try:
         if file.is_dir():
-            raise InputError(f"{source}: is a folder, not a file")
+            raise InputError(f"{source}: is a folder, not a file", remedies=("name a file in it",))
         if not file.exists():
             raise InputError(f"{source}: no such file", remedies=_neighbour(file))
         if not file.is_file():
@@ -69,8 +69,10 @@ def _parquet(source: str) -> pa.Table:
 
     try:
         with parquet.ParquetFile(source) as opened:
-            return opened.read()
-    except (pa.ArrowException, OSError) as error:
+            table = opened.read()
+        table.validate(full=True)  # text that is not UTF-8 would only be met later, without its file
+        return table
+    except (pa.ArrowException, OSError, ValueError, MemoryError) as error:
         raise InputError(
             f"{source}: cannot be read as Parquet, the file is truncated, damaged or of another kind",
             why=_first_line(error),
@@ -120,19 +122,13 @@ def _head(source: str, start: bytes) -> tuple[list[str], list[str]]:
             first = next(rows, [])
             return names, [*first, *[""] * len(names)][: len(names)]
     except UnicodeDecodeError as error:
-        raise InputError(
-            f"{source}:1  has a byte 0x{error.object[error.start]:02x}, which is not UTF-8",
-            remedies=("save the file as UTF-8",),
-        ) from error
+        raise (_bad_byte(source) or _unreadable_csv(source, error)) from error
     except (StopIteration, plain_csv.Error, OSError) as error:
         raise InputError(f"{source}:1  has no header", remedies=("begin with a line of column names",)) from error
 
 
-def _unreadable_csv(source: str, error: Exception) -> InputError:
-    """The complaint about a table that does not hang together, with its row where a slow second look finds it."""
-    import pyarrow as pa
-    from pyarrow import csv
-
+def _bad_byte(source: str) -> InputError | None:
+    """The complaint about the first byte that is not UTF-8, if there is one."""
     with open(source, "rb") as opened:
         for line, raw in enumerate(opened, start=1):
             try:
@@ -142,6 +138,17 @@ def _unreadable_csv(source: str, error: Exception) -> InputError:
                     f"{source}:{line}  has a byte 0x{raw[bad.start]:02x}, which is not UTF-8",
                     remedies=("save the file as UTF-8",),
                 )
+    return None
+
+
+def _unreadable_csv(source: str, error: Exception) -> InputError:
+    """The complaint about a table that does not hang together, with its row where a slow second look finds it."""
+    import pyarrow as pa
+    from pyarrow import csv
+
+    not_text = _bad_byte(source)
+    if not_text is not None:
+        return not_text
     found: list[Any] = []
 
     def note(row: Any) -> str:

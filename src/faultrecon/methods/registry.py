@@ -48,3 +48,13 @@ def method(name: str) -> Method:
     if name not in known:
         raise InputError(f"there is no method '{name}'", why=did_you_mean(name, known))
     return known[name]
+
+
+def list_methods(*, variants: bool = False) -> list[str]:
+    """The names of all methods, baselines among them; variants of a method only when asked for."""
+    return [name for name, found in all_methods().items() if variants or found.variant_of is None]
+
+
+def cite(name: str) -> str:
+    """The reference of a method."""
+    return str(method(name).paper)

@@ -27,13 +27,14 @@ stable eigenvalues is not enough: a pair on the axis, split by rounding, passes 
 class StableSubspace:
     """[U1; U2] (2n, n) orthonormal with H [U1; U2] = [U1; U2] T, T quasi-triangular and stable.
 
-    The Hamiltonian was scaled by `unit`: X = unit * U2 U1^-1.
+    The Hamiltonian was scaled by `unit`: X = unit * U2 U1^-1.  rounding: eps |H|.
     """
 
     U1: Array
     U2: Array
     T: Array
     unit: float
+    rounding: float
 
 
 def stable_subspace(F: Array, Q: Array, S: Array) -> StableSubspace | Array:
@@ -49,7 +50,7 @@ def stable_subspace(F: Array, Q: Array, S: Array) -> StableSubspace | Array:
     unit = float(np.exp2(np.rint(0.5 * np.log2(size[0] / size[1])))) if min(size) > 0 else 1.0
     H = np.block([[F, Q * unit], [-S / unit, -F.T]])
     if n == 0 or not np.isfinite(H).all():
-        return np.zeros(0) if n else StableSubspace(H, H, H, 1.0)
+        return np.zeros(0) if n else StableSubspace(H, H, H, 1.0, 0.0)
     try:
         T, U = schur(H)[:2]
     except (LinAlgError, ValueError):
@@ -64,7 +65,7 @@ def stable_subspace(F: Array, Q: Array, S: Array) -> StableSubspace | Array:
     T, U, _, _, _, _, _, info = lapack.dtrsen(stable.astype(np.int32), T, U, job=b"N")
     if info != 0:
         return np.zeros(0)
-    return StableSubspace(U[:n, :n], U[n:, :n], T[:n, :n], unit)
+    return StableSubspace(U[:n, :n], U[n:, :n], T[:n, :n], unit, float(np.finfo(float).eps * np.linalg.norm(H)))
 
 
 def _diagonal_blocks(T: Array) -> tuple[Array, Array]:

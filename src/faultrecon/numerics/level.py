@@ -66,11 +66,12 @@ class FilterProblem:
 
 @dataclass(frozen=True, slots=True)
 class Cut:
-    """a beta + b g >= c holds for every feasible (beta, g)."""
+    """a beta + b g >= c holds for every feasible (beta, g); `frequency`: demanded at one frequency, else by P >= 0."""
 
     a: float
     b: float
     c: float
+    frequency: bool
 
     def level(self, beta: float) -> float:
         """The smallest g this cut allows at beta."""
@@ -90,6 +91,10 @@ class Search:
 
     cuts: list[Cut] = field(default_factory=list)
     schur_count: int = 0
+
+    def axis(self, beta: float) -> float:
+        """The level below which frequencies alone forbid (beta, g), as far as it is known."""
+        return max((cut.level(beta) for cut in self.cuts if cut.frequency), default=0.0)
 
     def bound(self, beta: float) -> tuple[float, Cut | None]:
         """The highest lower bound on g at beta and the cut it comes from."""
@@ -123,17 +128,17 @@ def optimal_level(
     """
     problem = filter_problem(A, Bphi, B, C1, E1, H1, H2, G, alpha)
     search = Search()
-    grid = _frequencies(problem)
+    forms = frequency_forms(problem, _frequencies(problem))
     slack = 0.5 * rtol
     if problem.Bf.shape[1] == 0 or beta is not None:
         at = 1.0 if beta is None else float(beta)
-        search.cuts += frequency_cuts(problem, grid, at, problem.least)
+        search.cuts += frequency_cuts(forms, problem.Bf.shape[1], at, max(problem.least, _tiny(problem)))
         g, accepted = _accepted_level(problem, search, at, np.inf, 2 * slack)
         if not accepted:
             raise _no_level(search, beta)
         lower = max(search.bound(at)[0], problem.least)
         return LevelSolution(_root(g), beta if problem.Bf.shape[1] else None, search.schur_count, _root(lower))
-    start = _first_beta(problem, search, grid)
+    start = _first_beta(problem, search, forms)
     best_beta, g, lower = _search_beta(problem, search, start, slack)
     return LevelSolution(_root(g), best_beta, search.schur_count, _root(lower))
 
@@ -219,42 +224,50 @@ def _frequencies(problem: FilterProblem) -> Array:
     return np.unique(w)
 
 
-def frequency_cuts(problem: FilterProblem, w: Array, beta: float, least: float) -> list[Cut]:
-    """The strongest half plane at beta among those the inequality demands at the frequencies w.
+def frequency_forms(problem: FilterProblem, w: Array) -> tuple[Array, Array, Array]:
+    """Mb, Mg, M0 (k, m + r, m + r): at frequency w every (dphi, nu) demands beta Mb + g Mg - M0 >= 0.
 
-    At frequency w every (dphi, nu) must have beta (|dphi|^2 - |alpha G x|^2) + g |w|^2 >= |H x|^2: linear in (beta, g).
-    For each frequency Newton's method finds the g at which the smallest eigenvalue of that form becomes zero.
+    That is beta (|dphi|^2 - |alpha G x|^2) + g |w|^2 >= |H x + H2 w|^2 on the response x to (dphi, nu).
     """
-    m, r, n = problem.Bf.shape[1], problem.B0.shape[1], problem.A0.shape[0]
-    k, q, c = problem.G.shape[0], problem.H0.shape[0], problem.Cn.shape[0]
-    if m + r == 0 or w.size == 0:
-        return []
-    D = np.zeros((c + q + k, m + r))
-    D[c : c + q, m:] = problem.H20
+    m, r = problem.Bf.shape[1], problem.B0.shape[1]
+    c, q = problem.Cn.shape[0], problem.H0.shape[0]
     out = np.vstack([problem.Cn, problem.H0, problem.G])
-    Y = frequency_response(problem.A0, np.hstack([problem.Bf, problem.B0]), out.reshape(-1, n), D, w)
+    D = np.zeros((out.shape[0], m + r))
+    D[c : c + q, m:] = problem.H20
+    Y = frequency_response(problem.A0, np.hstack([problem.Bf, problem.B0]), out, D, w)
     Y = Y[np.all(np.isfinite(Y), axis=(1, 2))]
     Yc, Yh, Yg = Y[:, :c], Y[:, c : c + q], Y[:, c + q :]
-    Mb = np.diag([1.0] * m + [0.0] * r) - _gram(Yg)
-    Mg = np.diag([0.0] * m + [1.0] * r) + _gram(Yc)
-    M0 = _gram(Yh)
-    g = np.full(Y.shape[0], max(least, np.finfo(float).tiny))
+    is_phi = np.diag([1.0] * m + [0.0] * r)
+    return is_phi - _gram(Yg), np.eye(m + r) - is_phi + _gram(Yc), _gram(Yh)
+
+
+def frequency_cuts(forms: tuple[Array, Array, Array], m: int, beta: float, g: float) -> list[Cut]:
+    """The strongest half plane at beta among those the frequencies demand, above the level g.
+
+    Newton's method on the smallest eigenvalue of each form, kept up only for frequencies that still object.
+    """
     strongest: Cut | None = None
-    for _ in range(20):
-        d = np.where(np.arange(m + r) < m, 1 / np.sqrt(beta), 1 / np.sqrt(np.maximum(g, 1e-300))[:, None])
-        form = (beta * Mb + g[:, None, None] * Mg - M0) * d[:, :, None] * d[:, None, :]
-        value, z = np.linalg.eigh(form)
-        z = z[:, :, 0] * d
-        b, g0, h0 = (np.einsum("ki,kij,kj->k", z.conj(), M, z).real for M in (Mb, Mg, M0))
-        with np.errstate(divide="ignore", invalid="ignore"):
-            new = np.where(value[:, 0] < 0, (h0 - beta * b) / g0, g)
-        new = np.where(np.isfinite(new), new, np.inf)
-        j = int(np.argmax(new))
-        if new[j] > g[j]:
-            strongest = _cut(b[j], g0[j], h0[j])
-        if not np.isfinite(new[j]) or new[j] > 1e30 or np.all(new <= g * (1 + 1e-13)):
+    size = forms[0].shape[-1]
+    for _ in range(30):
+        if size == 0 or forms[0].shape[0] == 0:
             break
-        g = np.maximum(g, new)
+        Mb, Mg, M0 = forms
+        d = 1 / np.sqrt(np.where(np.arange(size) < m, beta, g))
+        value, z = np.linalg.eigh((beta * Mb + g * Mg - M0) * np.outer(d, d))
+        objects = value[:, 0] < 0
+        if not objects.any():
+            break
+        forms = Mb[objects], Mg[objects], M0[objects]
+        z = z[objects, :, 0] * d
+        b, h, c = (np.einsum("ki,kij,kj->k", z.conj(), M, z).real for M in forms)
+        missing = c - beta * b
+        level = missing / np.maximum(h, 1e-30 * np.abs(missing))
+        k = int(np.argmax(level))
+        if not level[k] > g * (1 + 1e-13):
+            break
+        strongest, g = Cut(float(b[k]), float(h[k]), float(c[k]), frequency=True), float(level[k])
+        if g > 1e25:  # hardly any disturbance is needed: this beta is out of reach at every level
+            break
     return [] if strongest is None else [strongest]
 
 
@@ -269,12 +282,21 @@ def test_level(problem: FilterProblem, search: Search, beta: float, g: float) ->
     search.schur_count += 1
     found = stable_subspace(At.T, 0.5 * (Q + Q.T), 0.5 * (S + S.T))
     if not isinstance(found, StableSubspace):
-        middle = np.concatenate([0.5 * (found[1:] + found[:-1]), np.sqrt(found[1:] * found[:-1])])
-        return False, frequency_cuts(p, np.concatenate([found, middle]), beta, g)
+        return False, frequency_cuts(frequency_forms(p, _between(found)), p.Bf.shape[1], beta, g)
     sine, Z = signs(found)
     accepted = bool(sine.size == 0 or sine[0] >= -POSITIVE)
-    count = 1 if accepted else min(3, int(np.count_nonzero(sine < -POSITIVE)))
-    return accepted, [_gain_cut(p, found, S0, beta, g, sine[k], Z[:, k]) for k in range(min(count, sine.size))]
+    count = min(1, sine.size) if accepted else min(3, int(np.count_nonzero(sine < -POSITIVE)))
+    # sine / |U2 z|^2 is an eigenvalue of P: when accepted the smallest, and not an X near 0, says how far down g may go.
+    order = np.argsort(sine / np.maximum(np.sum((found.U2 @ Z) ** 2, axis=0), 1e-300)) if accepted else np.arange(count)
+    return accepted, [_gain_cut(p, found, S0, beta, g, sine[k], Z[:, k]) for k in order[:count]]
+
+
+def _between(crossed: Array) -> Array:
+    """Frequencies on both sides of every crossing: the inequality fails on one of them, perhaps down to 0 or up to inf."""
+    if crossed.size == 0:
+        return crossed
+    w = np.concatenate([[0.0], crossed])
+    return np.unique(np.concatenate([w, 0.5 * (w[1:] + w[:-1]), np.sqrt(w[1:] * w[:-1]), [1.5 * w[-1], 10 * w[-1], np.inf]]))
 
 
 def _gain_cut(
@@ -293,37 +315,57 @@ def _gain_cut(
 
     along_g = trace(p.Cn @ U2) + trace(J)
     along_beta = trace(p.Bf.T @ U1) / beta**2 - trace(p.G @ U2)
-    return _cut(along_beta, along_g, along_g * g + along_beta * beta - float(sine) / found.unit)
+    # A relative rounding of H moves v'P v by at most |dH| tr W: the half plane gives way by that much.
+    doubt = found.rounding * float(np.trace(W))
+    constant = along_g * g + along_beta * beta - (float(sine) + doubt) / found.unit
+    return Cut(float(along_beta), float(along_g), constant, frequency=False)
 
 
 def _accepted_level(
     problem: FilterProblem, search: Search, beta: float, ceiling: float, slack: float
 ) -> tuple[float, bool]:
-    """Raise the lower bound at beta by the cuts until a level just above it is accepted, or it passes the ceiling."""
-    g = max(search.bound(beta)[0], problem.least, _tiny(problem))
-    margin = slack
+    """Raise the lower bound at beta by the cuts until a level just above it is accepted, or it passes the ceiling.
+
+    Between, a guess may be accepted far above the bound; its cut then raises the bound to just below the optimum.
+    """
+    low = max(search.bound(beta)[0], problem.least, _tiny(problem))
+    accepted, guess, margin = np.inf, 0.0, slack
     for _ in range(80):
-        if not g < ceiling or not np.isfinite(g) or g > 1e24 * max(_tiny(problem), problem.least):
-            return g, False
-        trial = g * (1 + margin)
-        accepted, cuts = test_level(problem, search, beta, trial)
+        if accepted <= low * (1 + 2 * slack):
+            return accepted, True
+        if not low < ceiling or not np.isfinite(low) or low > 1e24 * max(_tiny(problem), problem.least):
+            return low, False
+        trial = guess if low * (1 + 4 * margin) < guess < accepted else min(low * (1 + margin), accepted)
+        fits, cuts = test_level(problem, search, beta, trial)
         search.cuts += cuts
-        if accepted:
-            return trial, True
         higher = max((cut.level(beta) for cut in cuts), default=0.0)
-        if higher > trial:
-            g, margin = higher, slack
+        guess = 0.0 if fits else _beyond_newton(search.axis(beta), trial, higher)
+        if fits:
+            if trial <= low * (1 + margin):
+                return trial, True
+            accepted, low = trial, max(low, min(higher, trial))
+        elif higher > trial:
+            low, margin = higher, slack
         else:  # rounding hides the cut: go up by growing steps
-            g, margin = trial, 4 * margin
-    return np.inf, False
+            low, margin = trial, 4 * margin
+    return (accepted, True) if np.isfinite(accepted) else (low, False)
 
 
-def _first_beta(problem: FilterProblem, search: Search, grid: Array) -> float:
+def _beyond_newton(axis: float, g: float, newton: float) -> float:
+    """Where P may become positive, if it grows like the square root of the distance to the axis level, as it does near it.
+
+    With f = -a + b sqrt(g - axis) the tangent at g vanishes at `newton` and f itself at the value returned, above it.
+    """
+    x, step = g - axis, newton - g
+    return newton + step**2 / (4 * x) if x > 0 and step > 0 else 0.0
+
+
+def _first_beta(problem: FilterProblem, search: Search, forms: tuple[Array, Array, Array]) -> float:
     """The beta the frequency-wise bounds alone would choose: no Schur form is spent on it."""
     beta = 1.0
     for _ in range(40):
         before = search.bound(beta)[0]
-        search.cuts += frequency_cuts(problem, grid, beta, max(problem.least, _tiny(problem)))
+        search.cuts += frequency_cuts(forms, problem.Bf.shape[1], beta, max(before, problem.least, _tiny(problem)))
         if search.bound(beta)[0] <= before * (1 + 1e-3):
             break
         lowest = _lowest(search)
@@ -335,9 +377,9 @@ def _lowest(search: Search) -> tuple[float, float]:
     """The minimum over beta >= 0 of the lower bound, and where it is: two lines at a time, as for any convex polygon."""
     low, high = 0.0, 1e30
     left, right = search.bound(low)[1], search.bound(high)[1]
-    if left is None or right is None:
-        return 1.0, 0.0
-    if left.a <= 0 and np.isfinite(search.bound(low)[0]):
+    if left is None or right is None or right.a >= 0:  # nothing bounds beta from above yet
+        return high, search.bound(high)[0]
+    if left.a <= 0:
         return low, search.bound(low)[0]
     for _ in range(200):
         beta = _crossing(left, right, low, high)
@@ -364,14 +406,17 @@ def _search_beta(problem: FilterProblem, search: Search, beta: float, slack: flo
     best_beta, best = beta, np.inf
     ends: dict[bool, tuple[float, float]] = {}  # falling?: (log beta, d g / d log beta)
     last: bool | None = None
-    lower = 0.0
+    lower, vain = problem.least + _tiny(problem), 0
     for _ in range(60):
         g, accepted = _accepted_level(problem, search, beta, best, slack)
+        gap = best / lower
         if accepted and g < best:
             best_beta, best = beta, g
         lowest, lower = _lowest(search)
         lower = max(lower, problem.least, _tiny(problem))
-        if best <= lower * (1 + 4 * slack):
+        # Rounding stops the progress where beta tends to 0: three rounds in vain are enough.
+        vain = 0 if best / lower < 1 + 0.9 * (gap - 1) else vain + 1
+        if best <= lower * (1 + 4 * slack) or (vain >= 3 and np.isfinite(best)):
             break
         if not np.isfinite(lower):
             raise _no_level(search, None)
@@ -385,7 +430,7 @@ def _search_beta(problem: FilterProblem, search: Search, beta: float, slack: flo
         beta = _next_beta(ends, beta, lowest)
     if not np.isfinite(best):
         raise _no_level(search, None)
-    return best_beta, best, lower
+    return best_beta, best, min(lower, best)
 
 
 def _next_beta(ends: dict[bool, tuple[float, float]], beta: float, lowest: float) -> float:
@@ -395,10 +440,6 @@ def _next_beta(ends: dict[bool, tuple[float, float]], beta: float, lowest: float
     (xl, tl), (xr, tr) = ends[True], ends[False]
     x = xl - tl * (xr - xl) / (tr - tl) if tr > tl else 0.5 * (xl + xr)
     return float(np.exp(np.clip(x, xl + 1e-3 * (xr - xl), xr - 1e-3 * (xr - xl))))
-
-
-def _cut(a: float, b: float, c: float) -> Cut:
-    return Cut(float(a), float(b), float(c))
 
 
 def _gram(Y: Array) -> Array:

@@ -24,69 +24,20 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from faultrecon.finding import InputError
 from faultrecon.graph.observer import Observer
+from faultrecon.runtime.samples import Array, Estimate, Mask, State, Trace, checked_log, checked_row, last_known
 from faultrecon.runtime.stepping import LONG, Filling, Hold, Prediction, Scheme, Stepper, call, substeps
 
 if TYPE_CHECKING:
     import casadi
 
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
-
 REGULAR = 1e-6  # relative: how far an interval may be from the sample time and still count as one
 COMFORT = 1 / 3  # of the RK4 limit: there |h s| <= 0.93 and one step errs by less than |h s|^5/120 = 0.6 % of a mode
 REMEMBERED = 8_000_000  # numbers: how much of the matrices of irregular intervals is kept, 64 MB
 PATTERNS = 256  # kernels kept, one per pair of gap patterns met
-
-
-@dataclass(frozen=True, eq=False, slots=True)
-class State:
-    """Where the estimator stands after a sample.
-
-    z: observer states (nz,).  t: time of the last sample, s.  v: its input [u - u0; y - y0], gaps filled (m+p,).
-    missing: channels that sample lacked (p,).  guess: state to start from, until the first sample (n,).
-    samples, gaps: how many samples were taken, and how many of them lacked something.
-    """
-
-    z: Array
-    t: float
-    v: Array
-    missing: Mask
-    guess: Array | None
-    samples: int
-    gaps: int
-
-
-@dataclass(frozen=True, eq=False, slots=True)
-class Estimate:
-    """What is known at one sample: fault (q,), state (n,), corrected measurement (p,), ok (p,) per channel; t in s."""
-
-    t: float
-    fault: Array
-    state: Array
-    corrected: Array
-    ok: Mask
-
-
-@dataclass(frozen=True, eq=False, slots=True)
-class Trace:
-    """The estimates over N samples: t (N,), fault (N, q), state (N, n), corrected (N, p), ok (N, p).
-
-    end: where the estimator stands after the last sample, to go on with `step`.
-    """
-
-    t: Array
-    fault: Array
-    state: Array
-    corrected: Array
-    ok: Mask
-    end: State
-
-    def __len__(self) -> int:
-        return len(self.t)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -163,7 +114,7 @@ class Estimator:
         """Take one sample at time t, u (m,), y (p,) in, absolute; the next state and the estimate come back."""
         o = self.observer
         t = float(t)
-        u, y = _row(u, len(o.u0), "u"), _row(y, len(o.y0), "y")
+        u, y = checked_row(u, len(o.u0), "u"), checked_row(y, len(o.y0), "y")
         if not math.isfinite(t) or (state.samples and not t > state.t):
             raise InputError(
                 f"the sample at t = {t:g} s follows the one at {state.t:g} s",
@@ -177,7 +128,7 @@ class Estimator:
         nz = len(state.z)
         gap = bool(missing.any() or lost.any())
         new = State(s[:nz], t, s[nz:], missing, None, state.samples + 1, state.gaps + gap)
-        fault, x, corrected, ok = self._read(s[None], y[None], missing[None], lost.any(keepdims=True))
+        fault, x, corrected, ok = self._read(s[None], y[None], missing[None], np.array([lost.any()]))
         return new, Estimate(t, fault[0], x[0], corrected[0], ok[0])
 
     # ------------------------------------------------------------ a whole log
@@ -196,16 +147,16 @@ class Estimator:
         x: as in `init`.  progress is told now and then which part of the work is done, 0 to 1.
         """
         o = self.observer
-        t, u, y = self._log(t, u, y)
+        t, u, y = checked_log(t, u, y, len(o.u0), len(o.y0))
         missing, lost = ~np.isfinite(y), ~np.isfinite(u)
-        v = np.hstack([_last_known(np.where(lost, 0.0, u - o.u0), lost), np.where(missing, 0.0, y - o.y0)])
+        v = np.hstack([last_known(np.where(lost, 0.0, u - o.u0), lost), np.where(missing, 0.0, y - o.y0)])
         start = self.init(x=x)
         nz = len(start.z)
         s = np.empty((len(t), nz + v.shape[1]))
         if len(t):
             s[0] = self._first(start, v[0], missing[0])
             self._carry(s, t, v, missing, progress or _silent)
-        fault, state, corrected, ok = self._read(s, y, missing, lost.any(axis=1))
+        fault, state, corrected, ok = self._read(s, y, missing, np.any(lost, axis=1))
         end = start
         if len(t):
             gaps = int(np.count_nonzero(missing.any(axis=1) | lost.any(axis=1)))
@@ -244,7 +195,7 @@ class Estimator:
     def _first(self, state: State, v: Array, missing: Mask) -> Array:
         """[z; v] at the first sample: the observer state whose x̂ is the guess, in the sense of least squares."""
         o = self.observer
-        z = state.z
+        z: Array = state.z
         m = len(o.u0)
         if state.guess is not None and len(z):
             deviation = state.guess - o.x0
@@ -252,7 +203,7 @@ class Estimator:
                 v = v.copy()
                 expected = self.prediction.C @ deviation + self.prediction.D @ v[:m]
                 v[m:][missing] = expected[missing]
-            z = np.linalg.lstsq(o.Cx, deviation - o.Dx @ v, rcond=None)[0]
+            z = np.asarray(np.linalg.lstsq(o.Cx, deviation - o.Dx @ v, rcond=None)[0], dtype=float)
         filled = call(self._stepper(missing, missing).fill, [z, state.v, v], len(v))
         return np.concatenate((z, filled))
 
@@ -310,7 +261,7 @@ class Estimator:
 
         o = self.observer
         nz, k, m = o.A.shape[0], o.B.shape[1], len(o.u0)
-        row = ca.SX.sym("row", nz + k + len(o.y0))  # type: ignore[arg-type]
+        row = ca.SX.sym("row", nz + k + len(o.y0))
         z, v, y = row[:nz], row[nz : nz + k], row[nz + k :]
         fault = _constant(o.Cf) @ z + _constant(o.Df) @ v
         deviation = _constant(o.Cx) @ z + _constant(o.Dx) @ v
@@ -348,25 +299,6 @@ class Estimator:
             corrected[missing] = predicted[missing]
         return fault, state, corrected, ~(missing | lost[:, None])
 
-    def _log(self, t: ArrayLike, u: ArrayLike, y: ArrayLike) -> tuple[Array, Array, Array]:
-        o = self.observer
-        t, u, y = (np.array(a, dtype=float) for a in (t, u, y))
-        if u.ndim == 1 and len(o.u0) <= 1:
-            u = u.reshape(len(t), len(o.u0)) if u.size == len(t) * len(o.u0) else u
-        wanted = {"t": (len(t),) if t.ndim else (0,), "u": (len(t), len(o.u0)), "y": (len(t), len(o.y0))}
-        for (name, shape), given in zip(wanted.items(), (t, u, y), strict=True):
-            if given.shape != shape:
-                raise InputError(f"{name} is {given.shape}", why=f"this observer and {len(t)} times ask for {shape}")
-        wrong = np.flatnonzero(~(np.diff(t) > 0)) if np.isfinite(t).all() else np.flatnonzero(~np.isfinite(t)) - 1
-        if wrong.size:
-            k = int(wrong[0]) + 1
-            raise InputError(
-                f"time does not increase at row {k}: {t[k]:g} s" + (f" follows {t[k - 1]:g} s" if k else ""),
-                evidence={"rows": int(wrong.size)},
-                remedies=("sort the log", "drop repeated rows"),
-            )
-        return t, u, y
-
 
 def rk4_limit(observer: Observer) -> float:
     """The largest stable RK4 step for the linear part of an observer, s; inf when nothing decays."""
@@ -384,7 +316,7 @@ def _demand_stable_rk4(observer: Observer, sample_time: float) -> None:
     if sample_time > limit:
         fastest = float(np.abs(observer.poles).max())
         raise InputError(
-            f"RK4 is unstable at a step of {sample_time:g} s: the largest stable step of this observer is {limit:.3g} s",
+            f"RK4 is unstable at a step of {sample_time:g} s: the largest stable step here is {limit:.3g} s",
             why=f"its fastest pole is {fastest:.3g} rad/s",
             evidence={"sample_time": sample_time, "largest_stable_step": limit, "fastest_pole": fastest},
             remedies=(
@@ -409,23 +341,6 @@ def _check_sizes(observer: Observer, prediction: Prediction | None) -> None:
             f"the prediction has C {prediction.C.shape} and D {prediction.D.shape}",
             why=f"this observer asks for {(p, n)} and {(p, m)}",
         )
-
-
-def _row(value: ArrayLike, size: int, name: str) -> Array:
-    row = np.array(value, dtype=float)
-    row = row.reshape(1) if row.ndim == 0 and size == 1 else row
-    if row.shape != (size,):
-        raise InputError(f"{name} is {row.shape}", why=f"this observer takes ({size},)")
-    return row
-
-
-def _last_known(values: Array, lost: Mask) -> Array:
-    """Each lost entry replaced by the last one that was not; zero (the operating point) before the first."""
-    if not lost.any():
-        return values
-    rows = np.where(lost, -1, np.arange(len(values))[:, None])
-    last = np.maximum.accumulate(rows, axis=0)
-    return np.where(last < 0, 0.0, np.take_along_axis(values, np.maximum(last, 0), axis=0))
 
 
 def _constant(matrix: Array) -> Any:

@@ -138,7 +138,7 @@ class Stepper:
         import casadi as ca
 
         nz, k = self.B.shape
-        s, sample = ca.SX.sym("s", nz + k), ca.SX.sym("sample", 1 + k)  # type: ignore[arg-type]
+        s, sample = ca.SX.sym("s", nz + k), ca.SX.sym("sample", 1 + k)
         v1 = self._keep_last(s[nz:], sample[1:])
         step = self.matrices(self.sample_time) if self.scheme == "zoh" else ()
         z = self._substep(s[:nz], sample[0], *self._held(s[nz:], v1), self.sample_time, step)
@@ -161,10 +161,10 @@ class Stepper:
 
         nz, k = self.B.shape
         r = self.N.shape[1]
-        z, time = ca.SX.sym("z", nz), ca.SX.sym("time", 2)  # type: ignore[arg-type]
-        va, vb = ca.SX.sym("va", k), ca.SX.sym("vb", k)  # type: ignore[arg-type]
+        z, time = ca.SX.sym("z", nz), ca.SX.sym("time", 2)
+        va, vb = ca.SX.sym("va", k), ca.SX.sym("vb", k)
         shapes = [(nz, nz), (nz, k), (nz, k), (nz, r), (nz, r)] if self.scheme == "zoh" else []
-        parts = [ca.SX.sym(f"m{i}", rows, columns) for i, (rows, columns) in enumerate(shapes)]  # type: ignore[arg-type]
+        parts = [ca.SX.sym(f"m{i}", rows, columns) for i, (rows, columns) in enumerate(shapes)]
         packed = ca.vertcat(*(ca.vec(part) for part in parts)) if parts else ca.SX(0, 1)
         stages = (va, 0.5 * (va + vb), vb) if self.hold == "linear" else (va, va, va)
         out = self._substep(z, time[0], *stages, time[1], parts)
@@ -176,7 +176,7 @@ class Stepper:
         import casadi as ca
 
         nz, k = self.B.shape
-        z, v0, v1 = ca.SX.sym("z", nz), ca.SX.sym("v0", k), ca.SX.sym("v1", k)  # type: ignore[arg-type]
+        z, v0, v1 = ca.SX.sym("z", nz), ca.SX.sym("v0", k), ca.SX.sym("v1", k)
         return ca.Function("fill", [z, v0, v1], [ca.densify(_fill(self.after, z, self._keep_last(v0, v1)))])
 
     # ------------------------------------------------------------ running them
@@ -202,7 +202,7 @@ class Stepper:
         return np.concatenate((z, call(self.fill, [z, v0, v1], len(v0))))
 
     def pack(self, h: float) -> Array:
-        """The matrices of a step of h seconds as the irregular kernel takes them: column by column, one after another."""
+        """The matrices of a step of h seconds as the irregular kernel takes them, column by column."""
         if self.scheme != "zoh":
             return np.zeros(0)
         return np.concatenate([part.ravel(order="F") for part in self.matrices(h)])

@@ -8,7 +8,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +24,9 @@ from faultrecon.plant.plant import Plant
 from faultrecon.synthesis.certify import certificate, prove, shipped
 from faultrecon.synthesis.levels import Posed, multipliers, pose, quietest, smallest_gain
 from faultrecon.synthesis.report import DesignReport, describe
+
+if TYPE_CHECKING:
+    from faultrecon.runtime.estimator import Estimator
 
 Array = NDArray[np.float64]
 Progress = Callable[[str], None]
@@ -61,11 +64,16 @@ class Design:
         """The certificate's proof, by exact integers; computed once."""
         return None if self.certificate is None else prove(self.certificate)
 
-    def estimator(self, sample_time: float | None = None, **options: Any) -> Any:
-        """The observer at run time: pure `init` and `step`.  sample_time in s, the noise's hold time by default."""
-        from faultrecon.runtime.estimator import Estimator
+    def estimator(self, sample_time: float | None = None, **options: Any) -> Estimator:
+        """The observer at run time: pure `init` and `step`.  sample_time in s, the noise's hold time by default.
 
-        return Estimator.build(self.observer, self._sample_time(sample_time), plant=self.plant, **options)
+        options: `hold` ("left", "midpoint", "linear") and `scheme` ("auto", "zoh", "rk4"), see `Estimator.build`.
+        """
+        from faultrecon.runtime.estimator import Estimator
+        from faultrecon.runtime.stepping import Prediction
+
+        prediction = Prediction(self.plant.C, self.plant.D)
+        return Estimator.build(self.observer, self._sample_time(sample_time), prediction=prediction, **options)
 
     def _sample_time(self, given: float | None) -> float:
         if given is not None:

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from faultrecon.finding import InputError
 from faultrecon.graph.observer import Observer
 from faultrecon.numerics.discretise import held_noise_covariance, rk4_polynomial_limit
 from faultrecon.plant.plant import Plant
@@ -39,12 +40,22 @@ class DesignReport:
     notes: tuple[str, ...] = ()
 
     def as_dict(self) -> dict[str, Any]:
-        """Plain values for files and `--json`."""
+        """Plain values for files and `--json`; an unlimited step is None."""
         return {**self.__dict__, "gain_norms": dict(self.gain_norms), "solves": list(self.solves)} | {
             "noise_sd": None if self.noise_sd is None else dict(self.noise_sd),
             "notes": list(self.notes),
             "largest_step": self.largest_step if np.isfinite(self.largest_step) else None,
         }
+
+    @staticmethod
+    def from_dict(stored: Mapping[str, Any]) -> DesignReport:
+        """The report that `as_dict` wrote.  Raises InputError on damage."""
+        try:
+            step = stored["largest_step"]
+            lists = {k: tuple(stored[k]) for k in ("solves", "notes")}
+            return DesignReport(**{**stored, **lists, "largest_step": np.inf if step is None else float(step)})
+        except (KeyError, TypeError, ValueError) as error:
+            raise InputError("the stored report is damaged", why=f"{type(error).__name__}: {error}") from error
 
 
 def fault_noise(plant: Plant, observer: Observer) -> dict[str, float] | None:

@@ -1,0 +1,250 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""The verbs.  Exit code 0: fine, 1: a negative finding, 2: wrong usage or file, 3: inconclusive or internal."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any, Optional
+
+import typer
+
+from faultrecon.cli.shell import NEGATIVE, answer, bar, guarded, stages
+
+app = typer.Typer(
+    name="faultrecon",
+    help="Reconstruct the waveform of sensor faults, with a proof of what the observer guarantees.",
+    epilog="Exit code 0: fine, 1: a negative finding, 2: wrong usage or file, 3: inconclusive or internal.",
+    no_args_is_help=True,
+    add_completion=False,
+    rich_markup_mode=None,
+    pretty_exceptions_enable=False,
+)
+
+Json = Annotated[bool, typer.Option("--json", help="Print the answer as JSON.")]
+PlantName = Annotated[str, typer.Argument(metavar="PLANT", help="A plant file (.toml) or the name of a library plant.")]
+Faults = Annotated[
+    Optional[list[str]],  # noqa: UP045 - typer reads the annotation at run time
+    typer.Option("--fault", help="Reconstruct only this fault; repeat for several. All by default."),
+]
+
+
+def run_app() -> None:
+    """Run the command line."""
+    app()
+
+
+def _plant(name: str) -> Any:
+    from faultrecon.io.library import library_names, read_library
+    from faultrecon.io.plantfile import read_plant
+
+    if not name.endswith(".toml") and name in library_names() and not Path(name).exists():
+        return read_library(name)
+    return read_plant(name)
+
+
+@app.command()
+def new(
+    path: Annotated[Path, typer.Argument(help="The plant file to write (.toml).")],
+    copy: Annotated[str, typer.Option("--from", help="A library plant to start from.")] = "",
+    force: Annotated[bool, typer.Option("--force", help="Replace an existing file.")] = False,
+    as_json: Json = False,
+) -> None:
+    """Write a plant file to start from: a commented template, or a copy of a library plant."""
+    with guarded(as_json):
+        from faultrecon.io.template import new_plant
+
+        new_plant(path, copy, force)
+        answer(as_json, {"written": str(path)}, f"wrote {path}; edit it, then: faultrecon check {path}")
+
+
+@app.command()
+def check(plant: PlantName, faults: Faults = None, as_json: Json = False) -> None:
+    """Can these faults be reconstructed, and if not, why not?"""
+    with guarded(as_json):
+        from faultrecon.diagnosis.diagnosis import diagnose
+
+        model = _plant(plant)
+        found = diagnose(model.with_faults(faults) if faults else model)
+        answer(as_json, found.as_dict() | {"possible": found.possible}, str(found))
+        if not found.possible:
+            raise SystemExit(NEGATIVE)
+
+
+@app.command()
+def design(
+    plant: PlantName,
+    method: Annotated[str, typer.Option("--method", "-m", help="See `faultrecon methods`.")] = "lipschitz-hinf",
+    out: Annotated[
+        Optional[Path],  # noqa: UP045 - typer reads the annotation at run time
+        typer.Option("--out", "-o", help="Where to write the design file (.json)."),
+    ] = None,
+    faults: Faults = None,
+    level: Annotated[Optional[float], typer.Option(help="The level γ to aim at.")] = None,  # noqa: UP045 - as above
+    backoff: Annotated[float, typer.Option(help="How far above the optimum to stay, relative.")] = 0.05,
+    pole_bound: Annotated[
+        str, typer.Option(help="No pole to the left of minus this, rad/s; 'auto' from the sample time, or 'none'.")
+    ] = "auto",
+    as_json: Json = False,
+) -> None:
+    """Find gains, back off, round, prove, and write the design with its certificate."""
+    with guarded(as_json):
+        from faultrecon.io.designfile import write_design
+        from faultrecon.synthesis.pipeline import design as make
+
+        model = _plant(plant)
+        with stages("designing") as tell:
+            made = make(
+                model,
+                method,
+                faults=faults,
+                level=level,
+                backoff=backoff,
+                pole_bound=_bound(pole_bound),
+                progress=tell,
+            )
+        if out is not None:
+            write_design(made, out)
+        text = made.report() + (f"\nwrote {out}" if out is not None else "\nnothing written; add --out design.json")
+        answer(as_json, made.as_dict() | {"written": None if out is None else str(out)}, text)
+
+
+def _bound(text: str) -> float | str | None:
+    from faultrecon.finding import InputError
+
+    if text == "auto":
+        return text
+    if text == "none":
+        return None
+    try:
+        return float(text)
+    except ValueError:
+        raise InputError(f"--pole-bound is '{text}'", why="it is 'auto', 'none' or a number in rad/s") from None
+
+
+@app.command()
+def verify(
+    file: Annotated[str, typer.Argument(help="A design file (.json).")],
+    as_json: Json = False,
+) -> None:
+    """Prove the certificate of a design file again, from its numbers, with the standard library alone."""
+    with guarded(as_json):
+        from faultrecon.certificate import load_certificate
+
+        certificate = load_certificate(file)
+        found = certificate.verify()
+        text = f"{found}\n  claim: {certificate.claim}\n  with γ = {certificate.level:.9g}\n  scope: {certificate.scope}"
+        extra = {"claim": certificate.claim, "level": certificate.level, "scope": certificate.scope}
+        answer(as_json, found.as_dict() | extra, text)
+        if not found.sound:
+            raise SystemExit(NEGATIVE)
+
+
+@app.command()
+def run(
+    file: Annotated[str, typer.Argument(metavar="DESIGN", help="A design file (.json).")],
+    log: Annotated[str, typer.Argument(help="A recorded log (.csv or .parquet).")],
+    out: Annotated[
+        Optional[Path],  # noqa: UP045 - typer reads the annotation at run time
+        typer.Option("--out", "-o", help="Where to write faults, corrected measurements and flags (.csv, .parquet)."),
+    ] = None,
+    figure: Annotated[
+        Optional[Path],  # noqa: UP045 - as above
+        typer.Option(help="Where to draw the reconstruction (.png, .pdf, .svg)."),
+    ] = None,
+    plant: Annotated[str, typer.Option(help="The plant file the design has to belong to.")] = "",
+    hold: Annotated[str, typer.Option(help="Samples in between: left, midpoint or linear.")] = "linear",
+    scheme: Annotated[str, typer.Option(help="Integration: auto, zoh or rk4.")] = "auto",
+    sample_time: Annotated[
+        Optional[float],  # noqa: UP045 - as above
+        typer.Option(help="Seconds; the log's median interval by default."),
+    ] = None,
+    column: Annotated[
+        Optional[list[str]],  # noqa: UP045 - as above
+        typer.Option("--column", help="signal=column where names differ; repeat for several."),
+    ] = None,
+    as_json: Json = False,
+) -> None:
+    """Reconstruct the faults in a recorded log and take them out of the measurements."""
+    with guarded(as_json):
+        from faultrecon.cli.replaying import run_log
+
+        with bar("reconstructing") as tell:
+            data, text = run_log(
+                file,
+                log,
+                out=out,
+                figure=figure,
+                plant=_plant(plant) if plant else None,
+                mapping=_mapping(column or []),
+                options={"hold": hold, "scheme": scheme, "sample_time": sample_time, "progress": tell},
+            )
+        answer(as_json, data, text)
+
+
+def _mapping(pairs: list[str]) -> dict[str, str]:
+    from faultrecon.finding import InputError
+
+    for pair in pairs:
+        if "=" not in pair:
+            raise InputError(f"--column {pair}", why="it is written signal=column")
+    return dict((pair.partition("=")[0], pair.partition("=")[2]) for pair in pairs)
+
+
+@app.command()
+def demo(
+    name: Annotated[str, typer.Argument(help="Which demonstration; there is one: airliner.")] = "airliner",
+    out: Annotated[Path, typer.Option("--out", "-o", help="Folder for figure, corrected log and design.")] = Path(
+        "faultrecon-demo"
+    ),
+    as_json: Json = False,
+) -> None:
+    """Reconstruct sensor faults in the airliner logs that ship with the package."""
+    with guarded(as_json):
+        from faultrecon.advise.demonstration import airliner_demo
+        from faultrecon.finding import InputError, did_you_mean
+
+        if name != "airliner":
+            raise InputError(f"there is no demonstration '{name}'", why=did_you_mean(name, ["airliner"]))
+        with bar("airliner logs") as tell:
+            shown = airliner_demo(out, progress=tell)
+        answer(as_json, shown.as_dict(), str(shown))
+
+
+@app.command()
+def methods(
+    variants: Annotated[bool, typer.Option("--variants", help="List variants of methods too.")] = False,
+    as_json: Json = False,
+) -> None:
+    """List the methods, what they are for, and where they come from."""
+    with guarded(as_json):
+        from faultrecon.methods.registry import list_methods, method
+
+        found = [method(name) for name in list_methods(variants=variants)]
+        rows = [
+            {"name": m.name, "summary": m.summary, "baseline": m.baseline, "paper": m.paper.key, "variant_of": m.variant_of}
+            for m in found
+        ]
+        width = max(len(m.name) for m in found)
+        answer(as_json, {"methods": rows}, "\n".join(f"{m.name:{width}}  {m.summary}  [{m.paper.key}]" for m in found))
+
+
+@app.command()
+def cite(name: Annotated[str, typer.Argument(metavar="METHOD")], as_json: Json = False) -> None:
+    """Print the reference of a method."""
+    with guarded(as_json):
+        from faultrecon.methods.registry import method
+
+        paper = method(name).paper
+        answer(as_json, {"method": name, **paper.__dict__}, str(paper))
+
+
+@app.command()
+def doctor(as_json: Json = False) -> None:
+    """Tell what is installed, and check that the solver, exact integers and files work here."""
+    with guarded(as_json):
+        from faultrecon.cli.health import examine
+
+        found = examine()
+        answer(as_json, found.as_dict(), str(found))
+        if not found.fine:
+            raise SystemExit(NEGATIVE)

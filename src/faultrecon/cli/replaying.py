@@ -1,0 +1,90 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""The verb `run`: read a design, replay a log, write what came out."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from faultrecon.finding import InputError
+from faultrecon.io.designfile import read_design
+from faultrecon.io.logs import write_log
+from faultrecon.io.playback import Replay, replay
+from faultrecon.io.tables import name_extension
+from faultrecon.plant.plant import Plant
+
+FIGURES = (".png", ".pdf", ".svg")
+
+
+def run_log(
+    file: str,
+    log: str,
+    *,
+    out: Path | None,
+    figure: Path | None,
+    plant: Plant | None,
+    mapping: Mapping[str, str],
+    options: Mapping[str, Any],
+) -> tuple[dict[str, Any], str]:
+    """Replay `log` through the design in `file`; returns the summary as data and as text."""
+    if out is not None:
+        name_extension(str(out))  # a wrong extension is refused before the work, not after it
+    if figure is not None and figure.suffix.lower() not in FIGURES:
+        raise InputError(f"{figure}: unknown kind of figure", remedies=(f"use {', '.join(FIGURES)}",))
+    design = read_design(file, plant)
+    done = replay(design, log, mapping=mapping or None, **options)
+    if out is not None:
+        write_log(out, done.columns())
+    if figure is not None:
+        from faultrecon.advise.demonstration import replay_figure
+        from faultrecon.plot.figures import save
+
+        save(replay_figure(done), figure)
+    return _data(done, out, figure), _text(done, out, figure)
+
+
+def _data(done: Replay, out: Path | None, figure: Path | None) -> dict[str, Any]:
+    scores = done.scores()
+    faults = {}
+    for j, f in enumerate(done.design.plant.faults):
+        values = done.trace.fault[:, j]
+        faults[f.name] = {"rms": _rms(values), "largest": float(np.nanmax(np.abs(values), initial=0.0))}
+        if f.name in scores:
+            faults[f.name]["score"] = scores[f.name].as_dict()
+    return {
+        "samples": len(done.log),
+        "seconds": float(done.log.t[-1] - done.log.t[0]),
+        "missing": dict(done.log.missing),
+        "ignored_columns": list(done.log.ignored),
+        "flagged_samples": int(np.sum(~done.trace.ok.all(axis=1))),
+        "faults": faults,
+        "written": None if out is None else str(out),
+        "figure": None if figure is None else str(figure),
+    }
+
+
+def _rms(values: np.ndarray) -> float:
+    finite = values[np.isfinite(values)]
+    return float(np.sqrt(np.mean(np.square(finite)))) if finite.size else float("nan")
+
+
+def _text(done: Replay, out: Path | None, figure: Path | None) -> str:
+    data = _data(done, out, figure)
+    lines = [f"{done.log.source}: {data['samples']} samples over {data['seconds']:g} s"]
+    if data["missing"]:
+        lines.append("  missing values: " + ", ".join(f"{k} {v}" for k, v in data["missing"].items()))
+    if data["ignored_columns"]:
+        lines.append("  columns without numbers, ignored: " + ", ".join(data["ignored_columns"]))
+    lines.append(f"  samples with a flagged channel: {data['flagged_samples']}")
+    units = dict(zip(done.design.plant.signals.y.names, done.design.plant.signals.y.units, strict=True))
+    for f in done.design.plant.faults:
+        unit, found = units.get(next(iter(f.on)), ""), data["faults"][f.name]
+        lines.append(f"  {f.name}: RMS {found['rms']:.4g} {unit}, largest {found['largest']:.4g} {unit}")
+        if "score" in found:
+            s = found["score"]
+            lines.append(f"    against the recorded truth: nrmse {s['nrmse']:.3f}, delay {s['delay']:.3g} s")
+    lines += [f"  wrote {path}" for path in (out, figure) if path is not None]
+    return "\n".join(lines)

@@ -1,0 +1,48 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Loading and saving whatever the package reads and writes, chosen by the file's extension."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+from faultrecon.finding import InputError
+from faultrecon.io.designfile import read_design, write_design
+from faultrecon.io.library import read_library
+from faultrecon.io.plantfile import read_plant
+from faultrecon.io.plantwrite import write_plant
+from faultrecon.plant.plant import Plant
+from faultrecon.synthesis.pipeline import Design
+
+
+def load(path: str | os.PathLike[str], *, plant: Plant | None = None) -> Plant | Design:
+    """A plant from a .toml file or a design from a .json file.
+
+    plant: for a design, the plant it has to belong to.  A design's certificate is proved again before it is returned.
+    Raises InputError with file, place, value and remedy.
+    """
+    kind = Path(path).suffix.lower()
+    if kind == ".toml":
+        return read_plant(path)
+    if kind == ".json":
+        return read_design(path, plant)
+    raise InputError(f"{os.fspath(path)}: unknown kind of file", remedies=("plants are .toml, designs are .json",))
+
+
+def save(thing: Plant | Design, path: str | os.PathLike[str]) -> None:
+    """Write a plant as .toml or a design as .json, whole or not at all.  A refuted design is not written."""
+    kind = Path(path).suffix.lower()
+    if isinstance(thing, Plant) and kind == ".toml":
+        write_plant(thing, path)
+    elif isinstance(thing, Design) and kind == ".json":
+        write_design(thing, path)
+    else:
+        raise InputError(
+            f"{os.fspath(path)}: cannot hold a {type(thing).__name__}",
+            remedies=("save a Plant as .toml and a Design as .json",),
+        )
+
+
+def library(name: str) -> Plant:
+    """A plant of the library: airliner, lipschitz_aircraft, lipschitz_polynomial.  InputError suggests a name."""
+    return read_library(name)
