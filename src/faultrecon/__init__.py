@@ -36,7 +36,7 @@ _DOOR = {
     "Disturbance": "faultrecon.plant.fault",
     "Lipschitz": "faultrecon.plant.lipschitz",
     "Graph": "faultrecon.graph.function",
-    "Design": "faultrecon.synthesis.pipeline",
+    "Design": "faultrecon.synthesis.result",
     "Certificate": "faultrecon.certificate",
     "Diagnosis": "faultrecon.diagnosis.diagnosis",
     "Estimator": "faultrecon.runtime.estimator",
@@ -48,7 +48,43 @@ _DOOR = {
     "Inconclusive": "faultrecon.finding",
 }
 
-__all__ = ["__version__", *sorted(_DOOR)]
+__all__ = [
+    "Certificate",
+    "Channels",
+    "Design",
+    "Diagnosis",
+    "Disturbance",
+    "Estimator",
+    "FaultChannel",
+    "FaultreconError",
+    "Finding",
+    "Graph",
+    "Impossible",
+    "Inconclusive",
+    "InputError",
+    "Lipschitz",
+    "Log",
+    "Noise",
+    "OperatingPoint",
+    "Plant",
+    "Signals",
+    "__version__",
+    "cite",
+    "design",
+    "diagnose",
+    "library",
+    "library_names",
+    "list_methods",
+    "load",
+    "optimum",
+    "read_log",
+    "reconstruct",
+    "replay",
+    "save",
+    "score",
+    "verify",
+    "write_log",
+]
 
 if TYPE_CHECKING:
     from faultrecon.certificate import Certificate, verify
@@ -66,7 +102,8 @@ if TYPE_CHECKING:
     from faultrecon.plant.signals import Channels, Noise, Signals
     from faultrecon.runtime.estimator import Estimator
     from faultrecon.simulation.metrics import score
-    from faultrecon.synthesis.pipeline import Design, design, optimum
+    from faultrecon.synthesis.pipeline import design, optimum
+    from faultrecon.synthesis.result import Design
 
 
 def __getattr__(name: str) -> Any:

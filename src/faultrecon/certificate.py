@@ -2,9 +2,9 @@
 """A certificate and its checker; standard library alone.
 
 A certificate holds the plant's numbers, the gains that ship, the multipliers, and every claim as an expression tree
-over their letters.  `verify` trusts no verdict and no matrix in the file: it rebuilds each matrix exactly from the numbers
-and proves each claim anew.  Verdicts: proved (exact arithmetic), checked (floating point), assumed (somebody said so),
-refuted (a witness is shown).
+over their letters.  `verify` trusts no verdict and no matrix in the file: it rebuilds each matrix exactly from the
+numbers and proves each claim anew.  Verdicts: proved (exact arithmetic), checked (floating point), assumed (somebody
+said so), refuted (a witness is shown).
 """
 
 from __future__ import annotations
@@ -31,6 +31,8 @@ from faultrecon.storage.hashing import canonical_digest
 Verdict = Literal["proved", "checked", "assumed", "refuted"]
 STRENGTH: dict[str, int] = {"refuted": 0, "assumed": 1, "checked": 2, "proved": 3}
 SCHEMA = 1
+DAMAGE = (KeyError, IndexError, TypeError, ValueError, AttributeError, OverflowError, RecursionError)
+"""What reading a file that is not what it should be can raise; ExactError is a ValueError."""
 
 
 @dataclass(frozen=True)
@@ -156,7 +158,7 @@ class Certificate:
         checked = [self._identity()]
         try:
             letters = letters_from(self._numbers(algebra), self.lets, algebra)
-        except (ExactError, KeyError, TypeError, ValueError, OverflowError) as error:
+        except DAMAGE as error:
             return Verification((*checked, Checked("statement", "refuted", f"it cannot be rebuilt: {error}")))
         checked += [_check(step, letters, algebra) for step in self.steps]
         if not any(step.kind == "positive" for step in self.steps):
@@ -164,7 +166,10 @@ class Certificate:
         return Verification(tuple(checked))
 
     def _identity(self) -> Checked:
-        now = self.current_digests()
+        try:
+            now = self.current_digests()
+        except DAMAGE as error:
+            return Checked("identity", "refuted", f"it cannot be read: {error}")
         changed = [key for key, value in now.items() if self.digests.get(key) != value]
         if changed:
             return Checked("identity", "refuted", f"{' and '.join(changed)} changed after the certificate was made")
@@ -220,7 +225,7 @@ class Certificate:
                 tuple(Step.from_dict(s) for s in own["steps"]),
                 {str(k): str(v) for k, v in own["digests"].items()},
             )
-        except (KeyError, TypeError, AttributeError, ValueError) as error:
+        except DAMAGE as error:
             if isinstance(error, InputError):
                 raise
             raise InputError("the certificate is damaged", why=f"{type(error).__name__}: {error}") from error
@@ -249,7 +254,7 @@ def _check(step: Step, letters: Mapping[str, Dyadic], algebra: DyadicAlgebra) ->
                 return Checked(step.label, "refuted", f"an entry is {float(top):.3g}, allowed {step.tolerance:.3g}")
             return Checked(step.label, "proved", "exactly" if top == 0 else f"entries up to {float(top):.3g}")
         found = prove_positive(value, algebra)
-    except (ExactError, ValueError, OverflowError, RecursionError) as error:
+    except DAMAGE as error:
         return Checked(step.label, "refuted", f"it cannot be rebuilt: {error}")
     return Checked(
         step.label, found.verdict, found.how, found.margin if found.verdict == "proved" else None, found.witness

@@ -21,7 +21,8 @@ from faultrecon.io.library import read_library
 from faultrecon.io.logs import Log, read_log, write_log
 from faultrecon.io.playback import Replay, replay
 from faultrecon.simulation.metrics import FaultScore
-from faultrecon.synthesis.pipeline import Design, design
+from faultrecon.synthesis.pipeline import design
+from faultrecon.synthesis.result import Design
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -170,7 +171,10 @@ def replay_figure(done: Replay) -> Figure:
 def _table(rows: tuple[Row, ...]) -> list[str]:
     """Scores as text: faults that act first, then what leaks into faults that do not."""
     head = f"{'log':20} {'fault':12} {'none':>5} {'open-loop':>10} {'lipschitz-hinf':>15} {'delay':>7} {'leak':>8}"
-    lines = ["nrmse per log and fault (0 is perfect, 1 is no correction), delay in s, leak before the fault in °, °/s", head]
+    lines = [
+        "nrmse per log and fault (0 is perfect, 1 is no correction), delay in s, leak before the fault in °, °/s",
+        head,
+    ]
     for r in rows:
         if np.isfinite(r.design.nrmse):
             lines.append(
@@ -181,7 +185,5 @@ def _table(rows: tuple[Row, ...]) -> list[str]:
     lines.append(f"{'log':20} {'fault':12} {'open-loop':>16} {'lipschitz-hinf':>15}")
     for r in rows:
         if not np.isfinite(r.design.nrmse):
-            lines.append(
-                f"{r.log:20} {r.fault:12} {DEGREES * r.open_loop.leak:16.3f} {DEGREES * r.design.leak:15.3f}"
-            )
+            lines.append(f"{r.log:20} {r.fault:12} {DEGREES * r.open_loop.leak:16.3f} {DEGREES * r.design.leak:15.3f}")
     return lines

@@ -132,7 +132,9 @@ def verify(
 
         certificate = load_certificate(file)
         found = certificate.verify()
-        text = f"{found}\n  claim: {certificate.claim}\n  with γ = {certificate.level:.9g}\n  scope: {certificate.scope}"
+        text = (
+            f"{found}\n  claim: {certificate.claim}\n  with γ = {certificate.level:.9g}\n  scope: {certificate.scope}"
+        )
         extra = {"claim": certificate.claim, "level": certificate.level, "scope": certificate.scope}
         answer(as_json, found.as_dict() | extra, text)
         if not found.sound:
@@ -187,7 +189,7 @@ def _mapping(pairs: list[str]) -> dict[str, str]:
     for pair in pairs:
         if "=" not in pair:
             raise InputError(f"--column {pair}", why="it is written signal=column")
-    return dict((pair.partition("=")[0], pair.partition("=")[2]) for pair in pairs)
+    return {name: found for name, _, found in (pair.partition("=") for pair in pairs)}
 
 
 @app.command()
@@ -221,7 +223,13 @@ def methods(
 
         found = [method(name) for name in list_methods(variants=variants)]
         rows = [
-            {"name": m.name, "summary": m.summary, "baseline": m.baseline, "paper": m.paper.key, "variant_of": m.variant_of}
+            {
+                "name": m.name,
+                "summary": m.summary,
+                "baseline": m.baseline,
+                "paper": m.paper.key,
+                "variant_of": m.variant_of,
+            }
             for m in found
         ]
         width = max(len(m.name) for m in found)

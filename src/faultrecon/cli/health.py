@@ -32,7 +32,9 @@ class Health:
     def __str__(self) -> str:
         lines = [f"Python {self.python}"]
         for name, found in self.packages.items():
-            need = "" if found else f'  pip install "faultrecon[{OPTIONAL[name]}]"' if name in OPTIONAL else "  REQUIRED"
+            need = (
+                "" if found else f'  pip install "faultrecon[{OPTIONAL[name]}]"' if name in OPTIONAL else "  REQUIRED"
+            )
             lines.append(f"  {name:14} {found or 'not installed'}{need}")
         lines += [f"  {name:28} {outcome}" for name, outcome in self.checks.items()]
         return "\n".join([*lines, "all is well" if self.fine else "something is missing or broken"])

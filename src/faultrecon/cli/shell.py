@@ -45,7 +45,7 @@ def leave(error: FaultreconError, as_json: bool) -> NoReturn:
 
 @contextmanager
 def guarded(as_json: bool = False) -> Iterator[None]:
-    """Turn errors raised on purpose into a message and an exit code; a reader that closes the pipe early is no error."""
+    """Turn errors raised on purpose into a message and an exit code; a pipe closed by its reader is no error."""
     try:
         yield
     except FaultreconError as error:

@@ -36,6 +36,45 @@ def fault_findings(plant: Plant) -> list[Finding]:
     ]
 
 
+def additive_sensor_findings(plant: Plant) -> list[Finding]:
+    """What takes a plant out of the scope of observers for additive sensor faults in continuous time."""
+    see = "Khosrowjerdi 2011, (2.1)"
+    if plant.sample_time is not None:
+        return [Finding("the plant is sampled", why="the method is stated for continuous time", see=see)]
+    for f in plant.faults:
+        if f.site == "actuator" or f.effect == "multiplicative":
+            return [
+                Finding(
+                    f"fault '{f.name}' is {f.effect} on a{'n' if f.site[0] == 'a' else ''} {f.site}",
+                    why="the method reconstructs additive sensor faults",
+                    remedies=("declare it additive: the waveform of (gain - 1) times the signal is then reconstructed",)
+                    if f.site == "sensor"
+                    else (),
+                    see=see,
+                )
+            ]
+    reached = [name for name in _read_by_known_term(plant) if any(f.on.get(name) for f in plant.faults)]
+    if not reached:
+        return []
+    return [
+        Finding(
+            f"g reads {reached[0]}, which may be faulty",
+            why="the fault would enter the observer through the known term",
+            remedies=("write g with healthy sensors, or move the term into phi with the state it stands for",),
+            see="Khosrowjerdi 2011, (2.5)",
+        )
+    ]
+
+
+def _read_by_known_term(plant: Plant) -> list[str]:
+    """The sensors that g depends on: read off its instructions, since a traced g has no text."""
+    if plant.known is None or "y" not in plant.known.g.inputs:
+        return []
+    group = list(plant.known.g.inputs).index("y")
+    found = {int(node[2]) for node in plant.known.g.nodes if node[0] == "input" and node[1] == group}
+    return [plant.signals.y.names[i] for i in sorted(found)]
+
+
 def disturbance_findings(plant: Plant) -> list[Finding]:
     """A level needs something to be measured against."""
     if plant.attenuated:

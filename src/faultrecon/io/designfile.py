@@ -16,8 +16,8 @@ from faultrecon.plant.stored import plant_from_dict
 from faultrecon.storage.atomic import write_text
 from faultrecon.synthesis.certify import conforms, gains_from
 from faultrecon.synthesis.levels import scale
-from faultrecon.synthesis.pipeline import Design
 from faultrecon.synthesis.report import DesignReport
+from faultrecon.synthesis.result import Design
 
 SCHEMA = 1
 
@@ -41,7 +41,7 @@ def design_document(design: Design) -> dict[str, Any]:
 
 
 def write_design(design: Design, path: str | os.PathLike[str]) -> None:
-    """Write a design file atomically.  Raises InputError when the certificate does not hold: nothing is written then."""
+    """Write a design file atomically.  Raises InputError, and writes nothing, when the certificate does not hold."""
     found = design.verification
     if found is not None and not found.sound:
         refuted = next(s for s in found.steps if s.verdict == "refuted")

@@ -95,7 +95,7 @@ class Node:
                 entry.refuse(f"unknown key '{key}'", "", did_you_mean(key, known))
         for key in required:
             if key not in entries:
-                self.refuse(f"the key '{key}' is missing")
+                self.refuse(f"the key '{key}' is missing", "", f"add {key} = ...")
         return entries
 
     def items(self) -> list[Node]:

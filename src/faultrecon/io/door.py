@@ -12,7 +12,7 @@ from faultrecon.io.library import read_library
 from faultrecon.io.plantfile import read_plant
 from faultrecon.io.plantwrite import write_plant
 from faultrecon.plant.plant import Plant
-from faultrecon.synthesis.pipeline import Design
+from faultrecon.synthesis.result import Design
 
 
 def load(path: str | os.PathLike[str], *, plant: Plant | None = None) -> Plant | Design:

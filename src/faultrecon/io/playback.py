@@ -15,7 +15,7 @@ from faultrecon.io.logs import Log, read_log
 from faultrecon.runtime.estimator import Trace
 from faultrecon.runtime.stepping import Hold, Scheme
 from faultrecon.simulation.metrics import FaultScore, scores
-from faultrecon.synthesis.pipeline import Design
+from faultrecon.synthesis.result import Design
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -21,6 +21,8 @@ from fractions import Fraction
 from typing import Any, Literal
 
 Rows = Sequence[Sequence[int]]
+LARGEST = 2_000
+"""Rows or columns of a matrix that a file may ask for by its size alone."""
 
 
 class ExactError(ValueError):
@@ -165,9 +167,9 @@ def read_tree(tree: Any, letter: Callable[[str], Dyadic], algebra: DyadicAlgebra
                 return letter(node)
             case ["number", str() as text]:
                 return algebra.number(float.fromhex(text))
-            case ["eye", int() as n] if 0 <= n <= 100_000:
+            case ["eye", int() as n] if 0 <= n <= LARGEST:
                 return algebra.eye(n)
-            case ["zero", int() as rows, int() as columns] if rows >= 0 and columns >= 0:
+            case ["zero", int() as rows, int() as columns] if 0 <= rows <= LARGEST and 0 <= columns <= LARGEST:
                 return algebra.zero(rows, columns)
             case ["add", a, b]:
                 return algebra.add(go(a), go(b))
@@ -218,7 +220,7 @@ def prove_positive(a: Dyadic, algebra: DyadicAlgebra) -> Definite:
     half = [m[i][i].bit_length() // 2 for i in range(n)]
     try:
         return _by_factor(a, m, half, algebra) or _by_elimination(m)
-    except OverflowError:  # an entry is out of proportion to its diagonal: only integers can tell
+    except (OverflowError, ValueError):  # an entry is out of proportion to its diagonal: only integers can tell
         return _by_elimination(m)
 
 

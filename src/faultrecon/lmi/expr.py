@@ -215,7 +215,7 @@ def sym(rows: Sequence[Sequence[Any]]) -> Expr:
                 continue
             if block is __:
                 raise ShapeError(f"block ({i + 1},{j + 1}) is __", why="the upper triangle has to be written")
-            if not isinstance(block, Expr) and block != 0:
+            if not isinstance(block, Expr) and not (isinstance(block, (int, float)) and block == 0):
                 raise ShapeError(f"block ({i + 1},{j + 1}) is {block!r}", why="a block is an expression or 0")
             block = as_expr(block, like=full[i][j])
             if block.shape != (size[i], size[j]):

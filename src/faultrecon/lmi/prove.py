@@ -63,7 +63,8 @@ def statement(inequality: Inequality, values: Mapping[str, Any]) -> Statement:
 def exact(value: Any, algebra: DyadicAlgebra) -> Dyadic:
     """A float array as an exact matrix."""
     array = np.atleast_2d(np.asarray(value, dtype=float))
-    return algebra.from_floats(*array.shape, array.ravel().tolist())
+    rows, columns = array.shape
+    return algebra.from_floats(rows, columns, array.ravel().tolist())
 
 
 def fast_algebra() -> DyadicAlgebra:

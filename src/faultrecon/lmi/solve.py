@@ -109,8 +109,11 @@ def solve(problem: Problem, *, margin: float = 0.0, tolerance: float = 1e-9, tim
 
 
 def _clarabel(data: ConicData, tolerance: float, time_limit: float) -> Any:
-    import clarabel
+    from importlib import import_module
+
     from scipy import sparse
+
+    clarabel = import_module("clarabel")  # its classes live in a compiled module that type checkers cannot see
 
     settings = clarabel.DefaultSettings()
     settings.verbose = False

@@ -129,8 +129,8 @@ def letters(plant: Plant, scaling: Scaling) -> Letters:
         plant,
         given("T", np.diag(t)),
         given("T⁻¹", np.diag(1 / t)),
-        given("R", np.diag(r).reshape(len(r), -1)),
-        given("R⁻¹", np.diag(1 / r).reshape(len(r), -1)),
+        given("R", np.diag(r).reshape(len(r), len(r))),
+        given("R⁻¹", np.diag(1 / r).reshape(len(r), len(r))),
     )
 
 

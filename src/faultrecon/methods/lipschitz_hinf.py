@@ -21,7 +21,12 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from faultrecon.diagnosis.existence import detectability_findings, disturbance_findings, fault_findings
+from faultrecon.diagnosis.existence import (
+    additive_sensor_findings,
+    detectability_findings,
+    disturbance_findings,
+    fault_findings,
+)
 from faultrecon.finding import Finding
 from faultrecon.graph.observer import Observer
 from faultrecon.lmi.expr import I, __, given, let, sym, unknown
@@ -61,7 +66,7 @@ class LipschitzHinf(Method):
 
     def assumptions(self, plant: Plant) -> list[Finding]:
         """F of full column rank on the sensors, a healthy output left over, (A, C1) detectable, continuous time."""
-        found = _scope_findings(plant) or fault_findings(plant)
+        found = additive_sensor_findings(plant) or fault_findings(plant)
         if found:
             return found
         if len(plant.faults) == plant.p:
@@ -152,49 +157,12 @@ class LipschitzHinfThau(LipschitzHinf):
     name = "lipschitz-hinf-thau"
     summary = "lipschitz-hinf with the printed extra bound P < I/(2α) of Thau; reference only"
     variant_of = "lipschitz-hinf"
+    reproductions = ()  # those below are of the theorem without (2.10)
 
     def also(self, P, Ti, α, n) -> list:
         """(2.10), multiplied by 2α, for the P of unscaled states."""
         Q = let("P_x", Ti.T @ P @ Ti)
         return [(sym([[I(n), 2 * α * Q], [__, I(n)]]) > 0).tagged("(2.10)")]
-
-
-def _scope_findings(plant: Plant) -> list[Finding]:
-    see = "Khosrowjerdi 2011, (2.1)"
-    if plant.sample_time is not None:
-        return [Finding("the plant is sampled", why="the method is stated for continuous time", see=see)]
-    for f in plant.faults:
-        if f.site == "actuator" or f.effect == "multiplicative":
-            return [
-                Finding(
-                    f"fault '{f.name}' is {f.effect} on a{'n' if f.site[0] == 'a' else ''} {f.site}",
-                    why="the method reconstructs additive sensor faults",
-                    remedies=("declare it additive: the waveform of (gain - 1) times the signal is then reconstructed",)
-                    if f.site == "sensor"
-                    else (),
-                    see=see,
-                )
-            ]
-    faulty = {name for f in plant.faults for name in f.on}
-    if plant.known is not None:
-        g = plant.known.g
-        reached = sorted(faulty & set(g.inputs.get("y", ())) & set(_words(g.texts)))
-        if reached:
-            return [
-                Finding(
-                    f"g reads {reached[0]}, which may be faulty",
-                    why="the fault would enter the observer through the known term",
-                    remedies=("write g with healthy sensors, or move the term into phi with the state it stands for",),
-                    see="Khosrowjerdi 2011, (2.5)",
-                )
-            ]
-    return []
-
-
-def _words(texts: tuple[str, ...]) -> set[str]:
-    import re
-
-    return {word for text in texts for word in re.findall(r"[A-Za-z_]\w*", text)}
 
 
 def _noise_columns(plant: Plant, N: Array) -> Array:

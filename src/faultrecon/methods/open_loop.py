@@ -12,7 +12,7 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from faultrecon.diagnosis.existence import disturbance_findings, fault_findings
+from faultrecon.diagnosis.existence import additive_sensor_findings, disturbance_findings, fault_findings
 from faultrecon.finding import Finding
 from faultrecon.graph.observer import Observer
 from faultrecon.lmi.expr import I, __, given, let, sym, unknown
@@ -37,8 +37,8 @@ class OpenLoop(Method):
     )
 
     def assumptions(self, plant: Plant) -> list[Finding]:
-        """F of full column rank on the sensors; a plant without unstable or undamped modes."""
-        found = fault_findings(plant)
+        """Additive sensor faults with F of full column rank; a continuous-time plant without unstable or undamped modes."""
+        found = additive_sensor_findings(plant) or fault_findings(plant)
         if found:
             return found
         slowest = float(np.linalg.eigvals(plant.A).real.max())

@@ -22,12 +22,13 @@ def column_rank(F: ArrayLike) -> int:
 
 
 def annihilator(F: ArrayLike) -> Array:
-    """Rows N (p - q, p) with N F = 0, for F (p, q) of full column rank.
+    """Rows N (p - q, p) with N F = 0, for F (p, q) whose q columns that are not zero are independent.
 
     When each fault sits on sensors of its own, the rows that pick the other sensors.  Otherwise a rational null space
     whose entries are floats exactly, so that N F = 0 without rounding, if there is one; else an orthonormal one.
     """
     F = np.asarray(F, dtype=float)
+    F = F[:, np.any(F != 0, axis=0)]  # a fault that reaches no output costs none
     p, q = F.shape
     touched = np.flatnonzero(np.any(F != 0, axis=1))
     healthy = np.setdiff1d(np.arange(p), touched)

@@ -16,6 +16,7 @@ only values.  Khosrowjerdi 2011, Theorem 3.1, in the form of Section 8 of its re
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -128,19 +129,28 @@ def optimal_level(
     """
     problem = filter_problem(A, Bphi, B, C1, E1, H1, H2, G, alpha)
     search = Search()
+    m, floor = problem.Bf.shape[1], max(problem.least, _tiny(problem))
     forms = frequency_forms(problem, _frequencies(problem))
-    slack = 0.5 * rtol
-    if problem.Bf.shape[1] == 0 or beta is not None:
-        at = 1.0 if beta is None else float(beta)
-        search.cuts += frequency_cuts(forms, problem.Bf.shape[1], at, max(problem.least, _tiny(problem)))
-        g, accepted = _accepted_level(problem, search, at, np.inf, 2 * slack)
-        if not accepted:
-            raise _no_level(search, beta)
-        lower = max(search.bound(at)[0], problem.least)
-        return LevelSolution(_root(g), beta if problem.Bf.shape[1] else None, search.schur_count, _root(lower))
-    start = _first_beta(problem, search, forms)
-    best_beta, g, lower = _search_beta(problem, search, start, slack)
-    return LevelSolution(_root(g), best_beta, search.schur_count, _root(lower))
+
+    def by_frequency(beta: float, ceiling: float) -> tuple[float, bool]:
+        search.cuts += frequency_cuts(forms, m, beta, max(search.bound(beta)[0], floor))
+        level = max(search.bound(beta)[0], floor)
+        return level, bool(np.isfinite(level))
+
+    def by_riccati(beta: float, ceiling: float) -> tuple[float, bool]:
+        return _accepted_level(problem, search, beta, ceiling, 0.5 * rtol)
+
+    if m and beta is None:
+        start = _minimise(search, by_frequency, 1.0, 1e-4, floor)[0]  # spends no Schur form
+        at, g, lower = _minimise(search, by_riccati, start, 2 * rtol, floor)
+    else:
+        at = 1.0 if beta is None or not m else float(beta)
+        by_frequency(at, np.inf)
+        g, accepted = by_riccati(at, np.inf)
+        lower = max(search.bound(at)[0], floor) if accepted else np.inf
+    if not np.isfinite(lower) or not np.isfinite(g):
+        raise _no_level(search, beta)
+    return LevelSolution(_root(g), at if m else None, search.schur_count, min(_root(lower), _root(g)))
 
 
 def filter_problem(
@@ -288,7 +298,8 @@ def test_level(problem: FilterProblem, search: Search, beta: float, g: float) ->
     count = min(1, sine.size) if accepted else min(3, int(np.count_nonzero(sine < -POSITIVE)))
     # sine / |U2 z|^2 is an eigenvalue of P: when accepted the smallest, and not an X near 0, says how far down g may go.
     order = np.argsort(sine / np.maximum(np.sum((found.U2 @ Z) ** 2, axis=0), 1e-300)) if accepted else np.arange(count)
-    return accepted, [_gain_cut(p, found, S0, beta, g, sine[k], Z[:, k]) for k in order[:count]]
+    tangents = [_gain_cut(p, found, S0, beta, g, sine[k], Z[:, k]) for k in order[:count]]
+    return accepted and all(clear for _, clear in tangents), [cut for cut, _ in tangents]
 
 
 def _between(crossed: Array) -> Array:
@@ -301,8 +312,12 @@ def _between(crossed: Array) -> Array:
 
 def _gain_cut(
     p: FilterProblem, found: StableSubspace, S0: Array, beta: float, g: float, sine: float, z: Array
-) -> Cut:
-    """The tangent of v'P v >= 0 for v = U2 z: v'P v is concave in (beta, g), P being the largest solution."""
+) -> tuple[Cut, bool]:
+    """The tangent of v'P v >= 0 for v = U2 z, and whether its sign stands clear of rounding.
+
+    v'P v is concave in (beta, g), P being the largest solution.  A sign is also clear when a change of g by 1e-9 of
+    itself outweighs the rounding.
+    """
     from scipy.linalg import lapack
 
     W, scale, _ = lapack.dtrsyl(found.T, found.T, -np.outer(z, z), trana=b"N", tranb=b"T")
@@ -318,7 +333,8 @@ def _gain_cut(
     # A relative rounding of H moves v'P v by at most |dH| tr W: the half plane gives way by that much.
     doubt = found.rounding * float(np.trace(W))
     constant = along_g * g + along_beta * beta - (float(sine) + doubt) / found.unit
-    return Cut(float(along_beta), float(along_g), constant, frequency=False)
+    clear = abs(float(sine)) > doubt or doubt / found.unit <= 1e-9 * abs(along_g) * g
+    return Cut(float(along_beta), float(along_g), constant, frequency=False), clear
 
 
 def _accepted_level(
@@ -360,19 +376,6 @@ def _beyond_newton(axis: float, g: float, newton: float) -> float:
     return newton + step**2 / (4 * x) if x > 0 and step > 0 else 0.0
 
 
-def _first_beta(problem: FilterProblem, search: Search, forms: tuple[Array, Array, Array]) -> float:
-    """The beta the frequency-wise bounds alone would choose: no Schur form is spent on it."""
-    beta = 1.0
-    for _ in range(40):
-        before = search.bound(beta)[0]
-        search.cuts += frequency_cuts(forms, problem.Bf.shape[1], beta, max(before, problem.least, _tiny(problem)))
-        if search.bound(beta)[0] <= before * (1 + 1e-3):
-            break
-        lowest = _lowest(search)
-        beta = float(np.clip(lowest[0], beta / 1e3, beta * 1e3))
-    return beta
-
-
 def _lowest(search: Search) -> tuple[float, float]:
     """The minimum over beta >= 0 of the lower bound, and where it is: two lines at a time, as for any convex polygon."""
     low, high = 0.0, 1e30
@@ -401,45 +404,51 @@ def _crossing(left: Cut, right: Cut, low: float, high: float) -> float:
     return (left.c * right.b - right.c * left.b) / det
 
 
-def _search_beta(problem: FilterProblem, search: Search, beta: float, slack: float) -> tuple[float, float, float]:
-    """Close the gap between the best accepted level and the lowest point of all cuts; (beta, g, lower bound)."""
-    best_beta, best = beta, np.inf
+Oracle = Callable[[float, float], tuple[float, bool]]
+"""(beta, ceiling) -> (g, whether g is feasible at beta), adding cuts on the way; it may stop once g passes the ceiling."""
+
+
+def _minimise(search: Search, oracle: Oracle, beta: float, rtol: float, floor: float) -> tuple[float, float, float]:
+    """Close the gap between the best level of the oracle and the lowest point of all cuts: (beta, g, lower bound)."""
+    best_beta, best, lower, vain = beta, np.inf, floor, 0
     ends: dict[bool, tuple[float, float]] = {}  # falling?: (log beta, d g / d log beta)
     last: bool | None = None
-    lower, vain = problem.least + _tiny(problem), 0
+    stride = 1.5
     for _ in range(60):
-        g, accepted = _accepted_level(problem, search, beta, best, slack)
-        gap = best / lower
+        g, accepted = oracle(beta, best)
+        gap = best / lower - 1
         if accepted and g < best:
             best_beta, best = beta, g
         lowest, lower = _lowest(search)
-        lower = max(lower, problem.least, _tiny(problem))
-        # Rounding stops the progress where beta tends to 0: three rounds in vain are enough.
-        vain = 0 if best / lower < 1 + 0.9 * (gap - 1) else vain + 1
-        if best <= lower * (1 + 4 * slack) or (vain >= 3 and np.isfinite(best)):
+        lower = max(lower, floor)
+        # Where beta tends to 0 rounding stops the progress: three rounds in vain are enough.
+        vain = vain + 1 if np.isfinite(gap) and best / lower - 1 > 0.99 * gap else 0
+        if best <= lower * (1 + rtol) or vain >= 3:
             break
         if not np.isfinite(lower):
             raise _no_level(search, None)
         cut = search.bound(beta)[1]
         falling = cut is not None and cut.a > 0
-        if falling == last and (not falling) in ends:  # Illinois: halve the slope of the end that stays
+        repeated = falling == last
+        if repeated and (not falling) in ends:  # Illinois: halve the slope of the end that stays
             x, t = ends[not falling]
             ends[not falling] = x, 0.5 * t
         last = falling
         ends[falling] = np.log(beta), beta * cut.slope() if cut is not None else 0.0
-        beta = _next_beta(ends, beta, lowest)
-    if not np.isfinite(best):
-        raise _no_level(search, None)
+        if len(ends) == 2 and repeated and ends[True][0] < np.log(max(lowest, 1e-300)) < ends[False][0]:
+            beta = lowest  # most often on the other side of the minimum
+        elif len(ends) == 2:
+            beta = _vanishing_slope(*ends[True], *ends[False])
+        else:  # at the edge of the feasible beta the cuts alone creep, so each step is also longer than the last
+            beta = float(np.clip(lowest, beta * stride, beta * 100) if falling else np.clip(lowest, beta / 100, beta / stride))
+            stride *= stride
     return best_beta, best, min(lower, best)
 
 
-def _next_beta(ends: dict[bool, tuple[float, float]], beta: float, lowest: float) -> float:
-    """Between two ends where the slope, linear in log beta, vanishes; before that where the cuts are lowest."""
-    if len(ends) < 2:
-        return float(np.clip(lowest, beta / 100, beta * 100))
-    (xl, tl), (xr, tr) = ends[True], ends[False]
-    x = xl - tl * (xr - xl) / (tr - tl) if tr > tl else 0.5 * (xl + xr)
-    return float(np.exp(np.clip(x, xl + 1e-3 * (xr - xl), xr - 1e-3 * (xr - xl))))
+def _vanishing_slope(left: float, falling: float, right: float, rising: float) -> float:
+    """Where a slope that is linear in log beta passes through 0 between two ends, given as (log beta, slope) each."""
+    share = falling / (falling - rising) if rising > falling else 0.5
+    return float(np.exp(left + np.clip(share, 1e-3, 1 - 1e-3) * (right - left)))
 
 
 def _gram(Y: Array) -> Array:

@@ -145,8 +145,8 @@ class Plant:
         each fault; α is the Lipschitz constant (1, 1)."""
         return {
             **{k: getattr(self, k) for k in ("A", "B", "C", "D", "E_w", "F_w", "E_f", "F_f", "G", "H")},
-            "W": np.diag([d.size for d in self.attenuated]).reshape(len(self.attenuated), -1),
-            "V": np.diag([1.0 / f.size for f in self.faults]).reshape(len(self.faults), -1),
+            "W": np.diag([d.size for d in self.attenuated]).reshape(2 * (len(self.attenuated),)),
+            "V": np.diag([1.0 / f.size for f in self.faults]).reshape(2 * (len(self.faults),)),
             "α": np.array([[0.0 if self.nonlinearity is None else self.nonlinearity.constant]]),
         }
 

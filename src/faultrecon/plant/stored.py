@@ -22,7 +22,7 @@ _number = float.fromhex
 
 
 def plant_from_dict(stored: Mapping[str, Any]) -> Plant:
-    """The plant that `to_dict` described.  Raises InputError when a part is missing, malformed or contradicts another."""
+    """The plant that `to_dict` described.  Raises InputError on a part that is missing, malformed or contradictory."""
     try:
         plant = _plant(stored)
     except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
@@ -44,7 +44,10 @@ def _plant(s: Mapping[str, Any]) -> Plant:
     return Plant(
         name=s["name"],
         signals=Signals(*(_channels(s["signals"][g]) for g in ("x", "u", "y"))),
-        **{letter: stored_matrix(matrices[letter]) for letter in "ABCD"},
+        A=stored_matrix(matrices["A"]),
+        B=stored_matrix(matrices["B"]),
+        C=stored_matrix(matrices["C"]),
+        D=stored_matrix(matrices["D"]),
         faults=tuple(
             FaultChannel(f["name"], _table(f["on"]), f["site"], f["effect"], _number(f["size"]), _number(f["rate"]))
             for f in s["faults"]

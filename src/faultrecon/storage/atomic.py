@@ -28,7 +28,10 @@ def replacing(path: str | os.PathLike[str]) -> Iterator[Path]:
     try:
         yield temporary
         os.chmod(temporary, 0o666 & ~_umask())  # mkstemp makes private files; results are ordinary ones
-        os.replace(temporary, target)
+        try:
+            os.replace(temporary, target)
+        except OSError as error:
+            raise InputError(f"cannot write {target}", why=str(error.strerror or error)) from error
     finally:
         temporary.unlink(missing_ok=True)
 

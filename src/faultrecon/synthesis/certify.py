@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,8 +39,7 @@ def certificate(
 
     gains: by letter, in the plant's units.  values: the multipliers by letter.  level: γ.
     """
-    claims = [(i.label, "positive", i.positive, 0.0) for i in proof_inequalities(theorem)]
-    claims += [(i.label, "zero", i.expr, i.tolerance) for i in theorem.identities]
+    claims = _claims(theorem)
     exprs = [expr for _, _, expr, _ in claims]
     names = {u.name for u in theorem.gains} | {"γ"}
     data: dict[str, Any] = {}
@@ -50,16 +49,29 @@ def certificate(
     for name, leaf in leaves(exprs, "unknown").items():
         if name not in names:
             data[name] = exact_matrix(_symmetrised(leaf, values[name]))
-    steps = [
-        Step(label, "positive" if kind == "positive" else "zero", tree(expr), tolerance)
-        for label, kind, expr, tolerance in claims
-    ]
-    steps += [Step(a.label, "premise", text=a.text, verdict=a.verdict) for a in theorem.premises]
-    lets = {name: tree(node.args[1]) for name, node in leaves(exprs, "let").items()}
     stored = {name: exact_matrix(np.atleast_2d(value)) for name, value in gains.items()}
+    lets, steps = _definitions(exprs), _steps(theorem, claims)
     return Certificate(
-        method, theorem.number, theorem.claim, theorem.scope, level, plant.to_dict(), stored, data, lets, tuple(steps)
+        method, theorem.number, theorem.claim, theorem.scope, level, plant.to_dict(), stored, data, lets, steps
     ).sealed()
+
+
+Claim = tuple[str, Literal["positive", "zero"], Expr, float]
+
+
+def _claims(theorem: Theorem) -> list[Claim]:
+    """Every claim about matrices: label, kind, matrix, tolerance."""
+    found: list[Claim] = [(i.label, "positive", i.positive, 0.0) for i in proof_inequalities(theorem)]
+    return found + [(i.label, "zero", i.expr, i.tolerance) for i in theorem.identities]
+
+
+def _steps(theorem: Theorem, claims: list[Claim]) -> tuple[Step, ...]:
+    steps = [Step(label, kind, tree(expr), tolerance) for label, kind, expr, tolerance in claims]
+    return (*steps, *(Step(a.label, "premise", text=a.text, verdict=a.verdict) for a in theorem.premises))
+
+
+def _definitions(exprs: list[Expr]) -> dict[str, Any]:
+    return {name: tree(node.args[1]) for name, node in leaves(exprs, "let").items()}
 
 
 def _symmetrised(leaf: Expr, value: Any) -> Array:
@@ -75,18 +87,22 @@ def prove(made: Certificate) -> Verification:
 def conforms(made: Certificate, theorem: Theorem) -> bool:
     """Whether a stored certificate states this theorem, and not something weaker with the same name.
 
-    Letters, definitions and steps have to be the theorem's own; only numbers may differ.
+    Claim, scope, definitions and steps have to be the theorem's own, and so do its given matrices (the plant's, and
+    those like N and F⁺ that the observer derives again); only the units T and R, multipliers, gains and the level are free.
     """
-    exprs = [i.positive for i in proof_inequalities(theorem)] + [i.expr for i in theorem.identities]
-    stored = {s.label: s for s in made.steps}
-    labels = [i.label for i in theorem.inequalities] + [i.label for i in theorem.identities]
-    for label, expr in zip(labels, exprs, strict=True):
-        if label not in stored or stored[label].tree != tree(expr):
-            return False
-    for identity in theorem.identities:
-        if stored[identity.label].tolerance > identity.tolerance:
-            return False
-    return all(made.lets.get(k) == tree(node.args[1]) for k, node in leaves(exprs, "let").items())
+    claims = _claims(theorem)
+    exprs = [expr for _, _, expr, _ in claims]
+    words = (made.theorem, made.claim, made.scope) == (theorem.number, theorem.claim, theorem.scope)
+    same = made.steps == _steps(theorem, claims) and dict(made.lets) == _definitions(exprs)
+    ships = {u.name: u.shape for u in theorem.gains} == {k: tuple(v["shape"]) for k, v in made.gains.items()}
+    stored = {**made.data, **{f"plant.{k}": v for k, v in made.plant["matrices"].items()}}
+    givens = leaves(exprs, "given")
+    alike = all(stored.get(k) == exact_matrix(leaf.args[1]) for k, leaf in givens.items() if k not in UNITS)
+    return words and same and ships and alike and made.level > 0
+
+
+UNITS = ("T", "T⁻¹", "R", "R⁻¹")
+"""Letters of the scaling: any units serve, as long as the identities T T⁻¹ = I and R R⁻¹ = I hold."""
 
 
 def gains_from(made: Mapping[str, Any]) -> dict[str, Array]:

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from faultrecon.finding import InputError
 from faultrecon.lmi.expr import Expr, I, Inequality, __, as_expr, given, sym, unknown
 from faultrecon.lmi.problem import Problem
 from faultrecon.lmi.solve import Outcome, solve
@@ -74,8 +75,14 @@ def pose(
     """
     scaling = scale(plant)
     theorem = method.theorem(plant, scaling)
-    fixed = {k: v for k, v in theorem.fixed.items() if k not in {letter(f) for f in free}}
-    fixed |= {letter(k): v for k, v in (fix or {}).items()}
+    released, held = {letter(f) for f in free}, {letter(k): v for k, v in (fix or {}).items()}
+    for name in sorted(released - set(theorem.fixed)):
+        raise InputError(f"{name} cannot be set free", why=f"held fixed are: {', '.join(theorem.fixed) or 'none'}")
+    if theorem.minimise.name in held:
+        raise InputError(
+            f"{theorem.minimise.name} cannot be held", why="it is what is minimised", remedies=("ask for a level",)
+        )
+    fixed = {k: v for k, v in theorem.fixed.items() if k not in released} | held
     return Posed(method, plant, scaling, theorem, fixed, pole_bound)
 
 
@@ -122,6 +129,8 @@ def quietest(posed: Posed, level: float) -> Outcome:
     q, k = th.readout.shape[0], th.noise.shape[1]
     S, κ = unknown("S", q, q, symmetric=True), unknown("κ")
     problem = posed.at_level(level)
+    if k == 0:  # no gain passes noise to the state: there is nothing to choose
+        return solve(problem, margin=INSIDE)
     noisy = sym([[th.drift + th.drift.T, th.noise], [__, -κ * I(k)]]) < 0
     bound = sym([[S, th.readout], [__, th.lyapunov]]) > 0
     weights = (1.0, 1.0)
@@ -145,7 +154,7 @@ def quietest(posed: Posed, level: float) -> Outcome:
 
 
 def smallest_gain(posed: Posed, level: float) -> Outcome:
-    """Gains at this level that pass the least of unit noise on the healthy outputs (scaled units) to the whole state."""
+    """Gains at this level that pass the least of unit noise on the healthy outputs (scaled units) to the state."""
     from dataclasses import replace
 
     th = posed.theorem
