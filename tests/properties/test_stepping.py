@@ -35,7 +35,7 @@ def observer(kind):
     term = NonlinearTerm(N, S, OFFSET, np.array([-50.0]), np.array([50.0]), phi)
     return Observer(
         A, np.hstack([B, K]), np.eye(3), np.zeros((3, 3)), -C, np.hstack([np.zeros((2, 1)), np.eye(2)]), np.eye(2),
-        np.zeros(3), U0, Y0, *((term, CopiedTerm(M, g)) if kind == "nonlinear" else ()),
+        np.zeros(3), U0, Y0, term if kind == "nonlinear" else None, CopiedTerm(M, g) if kind == "nonlinear" else None,
     )  # fmt: skip
 
 

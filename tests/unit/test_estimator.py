@@ -130,6 +130,14 @@ def test_an_empty_log_gives_an_empty_trace():
     assert len(trace) == 0
 
 
+@pytest.mark.parametrize("rows", [1, 2, 3, 7])
+def test_a_log_of_a_few_rows_is_its_samples(rows):
+    estimator = Estimator.build(luenberger(), H)
+    t, u, y = log(rows)
+    _, stepped = trace_of_steps(estimator, t, u, y)
+    np.testing.assert_array_equal(estimator.replay(t, u, y).state, stepped["state"])
+
+
 def test_an_observer_without_states_only_reads():
     static = Observer(
         np.zeros((0, 0)), np.zeros((0, 2)), np.zeros((1, 0)), np.array([[0.0, 1.0]]), np.zeros((1, 0)),
@@ -288,6 +296,17 @@ def test_without_a_prediction_the_last_value_stays_and_nothing_is_claimed():
     np.testing.assert_array_equal(trace.state, estimator.replay(t, u, held).state)
     assert np.isnan(trace.corrected[50:60, 1]).all()
     assert not trace.ok[50:60, 1].any()
+
+
+def test_rounding_left_in_a_gain_does_not_count_as_reading_a_sensor():
+    Df = luenberger().Df.copy()
+    Df[1, 2] = 1e-16
+    estimator = Estimator.build(replace(luenberger(), Df=Df), H, prediction=PREDICTION)
+    t, u, y = log()
+    y[50:60, 1] = np.nan
+    trace = estimator.replay(t, u, y)
+    assert np.isnan(trace.fault[50:60, 0]).all()
+    assert np.isfinite(trace.fault[50:60, 1]).all()
 
 
 def test_a_missing_input_keeps_its_last_value_and_flags_the_row():

@@ -7,7 +7,7 @@ figure is returned, never shown, and nothing global is touched; `save` writes it
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -76,21 +76,12 @@ def reconstruction_figure(
     figure = _figure(10.5 if right else 6.4, 1.1 + 2.05 * q)
     axes = figure.subplots(q, 2 if right else 1, sharex=True, squeeze=False)
     for j, name in enumerate(names):
-        ax = axes[j, 0]
-        if band is not None:
-            width = float(np.asarray(band, dtype=float)[j])
-            ax.axhspan(-width, width, color=ALARM, alpha=0.22, linewidth=0, label="alarm band")
-        _line(ax, t, _column(data["truth"], j), TRUTH, "true fault", width=2.4)
-        _line(ax, t, _column(data["estimate"], j), ESTIMATE, "reconstructed fault", width=1.1)
-        _retrace(ax, t, _column(data["truth"], j))
-        _dress(ax, name, units[j])
+        columns = {key: None if table is None else table[:, j] for key, table in data.items()}
+        _fault(axes[j, 0], t, columns, None if band is None else float(np.asarray(band, dtype=float)[j]))
+        _dress(axes[j, 0], name, units[j])
         if right:
-            ax = axes[j, 1]
-            _line(ax, t, _column(data["measured"], j), PLAIN, "measured", width=1.0)
-            _line(ax, t, _column(data["true"], j), TRUTH, "true value", width=2.4)
-            _line(ax, t, _column(data["corrected"], j), CORRECTED, "corrected", width=1.1)
-            _retrace(ax, t, _column(data["true"], j))
-            _dress(ax, (sensors or names)[j], (sensor_units or units)[j])
+            _sensor(axes[j, 1], t, columns)
+            _dress(axes[j, 1], (sensors or names)[j], (sensor_units or units)[j])
     for ax in axes[-1]:
         ax.set_xlabel("time [s]")
     figure.align_ylabels()
@@ -171,6 +162,21 @@ def _figure(width: float, height: float) -> Figure:
     return figure
 
 
+def _fault(ax: Axes, t: Array, data: Mapping[str, Array | None], band: float | None) -> None:
+    if band is not None:
+        ax.axhspan(-band, band, color=ALARM, alpha=0.22, linewidth=0, label="alarm band")
+    _line(ax, t, data["truth"], TRUTH, "true fault", width=2.4)
+    _line(ax, t, data["estimate"], ESTIMATE, "reconstructed fault", width=1.1)
+    _retrace(ax, t, data["truth"])
+
+
+def _sensor(ax: Axes, t: Array, data: Mapping[str, Array | None]) -> None:
+    _line(ax, t, data["measured"], PLAIN, "measured", width=1.0)
+    _line(ax, t, data["true"], TRUTH, "true value", width=2.4)
+    _line(ax, t, data["corrected"], CORRECTED, "corrected", width=1.1)
+    _retrace(ax, t, data["true"])
+
+
 def _cell(ax: Axes, panel: Panel) -> None:
     t = np.asarray(panel.t, dtype=float)
     lines = {"open loop": (panel.open_loop, PLAIN, 0.9), "true fault": (panel.truth, TRUTH, 2.2)}
@@ -248,10 +254,6 @@ def _table(name: str, values: ArrayLike | None, shape: tuple[int, ...]) -> Array
     if table.shape != shape:
         raise InputError(f"the {name} to draw is {table.shape}", why=f"times and names ask for {shape}")
     return table
-
-
-def _column(table: Array | None, j: int) -> Array | None:
-    return None if table is None else table[:, j]
 
 
 def _same_length(what: str, size: int, *groups: Any) -> None:

@@ -29,7 +29,7 @@ from numpy.typing import ArrayLike
 from faultrecon.finding import InputError
 from faultrecon.graph.observer import Observer
 from faultrecon.runtime.samples import Array, Estimate, Mask, State, Trace, checked_log, checked_row, last_known
-from faultrecon.runtime.stepping import LONG, Filling, Hold, Prediction, Scheme, Stepper, call, substeps
+from faultrecon.runtime.stepping import LONG, Filling, Hold, Prediction, Scheme, Stepper, call, reads_directly, substeps
 
 if TYPE_CHECKING:
     import casadi
@@ -168,11 +168,13 @@ class Estimator:
         """Fill s (N, nz+m+p) from its first row on; runs of alike intervals go to the compiled loop."""
         nz = self.observer.A.shape[0]
         lengths = np.diff(t)
+        if not lengths.size:
+            return
         regular = self._is_regular(lengths, t[1:])
         alike = regular[1:] & regular[:-1] & ~np.any(missing[2:] != missing[1:-1], axis=1)
         if self.hold == "left":
             alike &= ~np.any(missing[1:-1] != missing[:-2], axis=1)
-        starts = np.concatenate(([0], 1 + np.flatnonzero(~alike))) if len(lengths) else np.zeros(0, dtype=int)
+        starts = np.concatenate(([0], 1 + np.flatnonzero(~alike)))
         ends = np.append(starts[1:], len(lengths))
         reported = 0
         for a, b in zip(starts, ends, strict=True):
@@ -278,7 +280,7 @@ class Estimator:
     def _read(self, s: Array, y: Array, missing: Mask, lost: Mask) -> tuple[Array, Array, Array, Mask]:
         """fault, state, corrected and ok over rows: s (N, nz+m+p), y (N, p), missing (N, p), lost inputs (N,)."""
         o = self.observer
-        n, p, q, m = len(o.x0), len(o.y0), o.F.shape[1], len(o.u0)
+        n, p, q = len(o.x0), len(o.y0), o.F.shape[1]
         rows, width = len(s), q + n + 2 * p
         out = np.empty((rows, width))
         full = np.hstack([s, np.where(missing, 0.0, y)])
@@ -293,7 +295,7 @@ class Estimator:
         fault, state = out[:, :q].copy(), out[:, q : q + n].copy()
         corrected, predicted = out[:, q + n : q + n + p].copy(), out[:, q + n + p :]
         if missing.any():
-            blind = (missing.astype(float) @ (o.Df[:, m:] != 0).T) > 0  # reads a missing channel
+            blind = (missing.astype(float) @ reads_directly(o).T) > 0  # reads a missing channel
             fault[blind] = math.nan
             corrected[(blind.astype(float) @ (o.F != 0).T) > 0] = math.nan
             corrected[missing] = predicted[missing]

@@ -34,6 +34,7 @@ Mask = NDArray[np.bool_]
 
 LONG, SHORT = 1024, 32  # rows per mapped call; 10 ms and 0.3 ms to build, and padded rows cost about 1 us each
 SINGULAR = 1e-8  # a channel whose prediction repeats its own reading to 8 digits has no prediction
+ROUNDING = 1e-12  # of the largest entry in its row: what a pseudo-inverse leaves of a zero
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,7 +65,7 @@ class Filling:
         gone = np.flatnonzero(missing)
         if prediction is None or gone.size == 0:
             return Filling(from_z, from_v)
-        F = observer.F * ~np.any(observer.Df[:, m + gone] != 0, axis=1)
+        F = observer.F * ~np.any(reads_directly(observer)[:, gone], axis=1)
         Pz = prediction.C @ observer.Cx + F @ observer.Cf
         Pv = prediction.C @ observer.Dx + F @ observer.Df
         Pv[:, :m] += prediction.D
@@ -280,6 +281,12 @@ class Stepper:
         held = linear + _times(N0, n0)  # with n0 at both ends this is the exponential Euler step (ETD1)
         n1 = self._nonlinear(held + _times(N1, n0), v1, t + h)
         return held + _times(N1, n1)
+
+
+def reads_directly(observer: Observer) -> Mask:
+    """Which fault estimates jump when a measurement does, (q, p): Df has an entry there that is not mere rounding."""
+    direct = np.abs(observer.Df[:, observer.inputs :])
+    return direct > ROUNDING * np.max(direct, axis=1, keepdims=True, initial=0.0)
 
 
 def substeps(interval: float, sample_time: float) -> int:

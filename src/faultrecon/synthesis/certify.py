@@ -88,7 +88,7 @@ def conforms(made: Certificate, theorem: Theorem) -> bool:
     """Whether a stored certificate states this theorem, and not something weaker with the same name.
 
     Claim, scope, definitions and steps have to be the theorem's own, and so do its given matrices (the plant's, and
-    those like N and F⁺ that the observer derives again); only the units T and R, multipliers, gains and the level are free.
+    those like N and F⁺ that the observer derives again); the units T and R, multipliers, gains and the level are free.
     """
     claims = _claims(theorem)
     exprs = [expr for _, _, expr, _ in claims]

@@ -29,6 +29,8 @@ Progress = Callable[[str], None]
 
 STEP_SHARE = 2.0
 """Default pole bound times sample time, inside the 2.785 at which classical Runge-Kutta turns unstable."""
+OWN_SHARE = 10.0
+"""Default pole bound over the plant's fastest mode where no sample time is known: an observer need not be faster."""
 GROWTH = (1.0, 2.0, 4.0)
 """By how much the back-off may grow before a design is given up as not certified."""
 
@@ -50,7 +52,7 @@ def design(
 
     faults: names of the faults to reconstruct, the others taken as healthy; all by default.  level: γ to aim at; by
     default (1 + backoff) times the optimum under the pole bound.  pole_bound: ρ in rad/s for Re λ > -ρ, None for none,
-    "auto" for 2 / (noise hold time).  fix, free: unknowns of the theorem held or set free, by letter.  certify=False
+    "auto" for 2 / (noise hold time), or ten times the plant's fastest mode where no noise is declared.  fix, free: unknowns of the theorem held or set free, by letter.  certify=False
     gives a baseline's gains without a proof.  progress: called with a word before each stage.
 
     Raises Impossible (an assumption fails, the level is below what the method or anybody can reach), Inconclusive (the
@@ -163,9 +165,9 @@ def _bounded(
             raise InputError(f"the pole bound is {pole_bound!r}", why="it is 'auto', None or a positive number")
         posed = pose(chosen, plant, fix=fix, free=free, pole_bound=float(pole_bound))
         return posed, _level(posed.optimum(), posed), ()
-    if pole_bound is None or plant.noise is None:
+    bound = wanted = math.inf if pole_bound is None else automatic_pole_bound(plant)
+    if math.isinf(bound):
         return pose(chosen, plant, fix=fix, free=free), best, ()
-    bound = wanted = STEP_SHARE / plant.noise.hold
     for _ in range(8):
         posed = pose(chosen, plant, fix=fix, free=free, pole_bound=bound)
         outcome = posed.optimum()
@@ -174,6 +176,14 @@ def _bounded(
             return posed, _level(outcome, posed), note
         bound *= 2.0
     return pose(chosen, plant, fix=fix, free=free), best, ("no automatic pole bound had a solution; none is set",)
+
+
+def automatic_pole_bound(plant: Plant) -> float:
+    """ρ in rad/s: 2 / (time for which a noise sample is held), else ten times the fastest mode of the plant."""
+    if plant.noise is not None:
+        return STEP_SHARE / plant.noise.hold
+    fastest = float(np.abs(np.linalg.eigvals(plant.A)).max())
+    return OWN_SHARE * fastest if fastest > 0 else math.inf
 
 
 def _gains(posed: Posed, level: float) -> tuple[Outcome, str]:
