@@ -301,7 +301,7 @@ def test_a_file_that_is_not_there_is_refused_with_a_suggestion(tmp_path):
     (tmp_path / "flight.csv").write_text(GOOD)
     with pytest.raises(InputError, match=r"fligth\.csv: no such file; did you mean 'flight\.csv'\?"):
         read_log(tmp_path / "fligth.csv", SIGNALS)
-    with pytest.raises(InputError, match="the folder .*nowhere does not exist"):
+    with pytest.raises(InputError, match=r"the folder .*nowhere does not exist"):
         read_log(tmp_path / "nowhere" / "flight.csv", SIGNALS)
     (tmp_path / "folder.csv").mkdir()
     with pytest.raises(InputError, match="is a folder, not a file"):

@@ -127,6 +127,14 @@ def test_a_constant_that_leans_on_the_range_of_an_input_is_not_called_proved():
     assert "nonlinearity.domain.voltage: 'voltage' is no state" in refused(bounded.replace('"derive"', "2.0"))
 
 
+def test_a_term_that_reads_no_state_has_the_constant_zero():
+    text = changed('phi  = ["-gravity * sin(theta_l)"]', 'phi  = ["gravity * sin(voltage)"]')
+    plant = parse_plant(text.replace("domain    = { theta_l = [-3.2, 3.2] }\n", ""))
+    assert plant.nonlinearity is not None
+    assert (plant.nonlinearity.constant, plant.nonlinearity.basis) == (0.0, "proved")
+    assert parse_plant(plant_text(plant)).digest() == plant.digest()
+
+
 def test_a_domain_must_bound_every_state_read_for_a_proof():
     message = refused(changed("domain    = { theta_l = [-3.2, 3.2] }\n", ""))
     assert message.startswith("robot.toml:32  nonlinearity.lipschitz: cannot be derived: phi reads theta_l")

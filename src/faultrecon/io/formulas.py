@@ -138,6 +138,8 @@ def _constant(node: Node, phi: Graph, domain: Mapping[str, Interval]) -> tuple[f
         if value < 0:
             node.refuse(f"is {value}", "", "a Lipschitz constant is not negative")
         return value, "assumed"
+    if not phi.inputs["x"]:
+        return 0.0, "proved"  # what reads no state cannot differ between two states
     unbounded = [name for name in _arguments(phi) if not np.all(np.isfinite(domain.get(name, (-np.inf, np.inf))))]
     if unbounded:
         node.refuse(
@@ -157,8 +159,6 @@ def _derived(node: Node, phi: Graph, domain: Mapping[str, Interval]) -> tuple[fl
     """
     from faultrecon.graph.enclose import lipschitz_bound
 
-    if not phi.inputs["x"]:
-        return 0.0, "proved"
     # A group that φ does not look at may be anywhere: one point stands for all.
     others = {group: [domain.get(name, (0.0, 0.0)) for name in phi.inputs[group]] for group in ("u", "t")}
     with node.here():

@@ -132,6 +132,8 @@ class AffineAlgebra:
             value = np.asarray(fixed[node.name], dtype=float)
             if value.ndim and value.shape != node.shape:
                 raise ShapeError(f"{node.name} is held at a {value.shape} value", why=f"it is {node.shape}")
+            if not np.all(np.isfinite(value)):
+                raise InputError(f"{node.name} is held at a value that is not finite")
             return Form(np.broadcast_to(value, node.shape), None)
         from scipy import sparse
 

@@ -126,22 +126,38 @@ def _clarabel(data: ConicData, tolerance: float, time_limit: float) -> Any:
     return clarabel.DefaultSolver(quadratic, data.q, sparse.csc_matrix(data.M), data.b, cones, settings).solve()
 
 
+FAR = 1e6
+"""How far out, beside the sizes of the data, a dual certificate has to exclude solutions before "infeasible" is said."""
+
+
 def _farkas(data: ConicData, z: np.ndarray) -> bool:
-    """Whether z, in the dual cone, shows that no v satisfies the inequalities: M'z = 0 and b'z < 0, to 1e-6."""
+    """Whether z shows that no v within reach satisfies the inequalities: z in the dual cone, b'z < 0 and M'z nearly 0.
+
+    For a feasible v, 0 <= (b - M v)'z = b'z - v'(M'z), so |v|'|M'z| >= -b'z.  With |M'z|_k a millionth of -b'z in units
+    of column k, such a v would have to be a million times larger than the data: the test does not depend on units.
+    """
     if not np.all(np.isfinite(z)) or not z.any():
         return False
+    z = np.concatenate([_projected(part, n) for part, n in _parts(z, data.sizes)])
     gain = -float(data.b @ z)
     if gain <= 0:
         return False
-    at = 0
-    for n in data.sizes:
-        block = _smat(z[at : at + n * (n + 1) // 2], n)
-        at += n * (n + 1) // 2
-        if n and np.linalg.eigvalsh(block)[0] < -1e-6 * np.abs(z).max():
-            return False
-    residual = np.abs(data.M.T @ z)
-    weight = np.abs(data.M).T @ np.abs(z)
-    return bool(np.all(residual <= 1e-6 * np.maximum(weight, gain)))
+    columns = np.abs(data.M).max(axis=0).toarray().ravel()
+    return bool(np.all(np.abs(data.M.T @ z) <= gain / FAR * columns / np.abs(data.b).max()))
+
+
+def _parts(z: np.ndarray, sizes: tuple[int, ...]) -> list[tuple[np.ndarray, int]]:
+    ends = np.cumsum([n * (n + 1) // 2 for n in sizes])
+    return [(z[end - n * (n + 1) // 2 : end], n) for end, n in zip(ends, sizes, strict=True)]
+
+
+def _projected(z: np.ndarray, n: int) -> np.ndarray:
+    """The nearest vector in the cone of positive semidefinite matrices, as an svec."""
+    values, vectors = np.linalg.eigh(_smat(z, n))
+    nearest = (vectors * np.maximum(values, 0.0)) @ vectors.T
+    i = np.concatenate([np.arange(k + 1) for k in range(n)]) if n else np.zeros(0, int)
+    j = np.concatenate([np.full(k + 1, k) for k in range(n)]) if n else np.zeros(0, int)
+    return nearest[i, j] * np.where(i == j, 1.0, ROOT2)
 
 
 def _smat(z: np.ndarray, n: int) -> np.ndarray:

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from faultrecon.finding import InputError, MissingExtra
+from faultrecon.storage.atomic import replacing
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -130,7 +131,7 @@ def overview_figure(panels: Sequence[Panel], *, title: str = "") -> Figure:
 
 
 def save(figure: Figure, path: str | Path, *, dpi: int = 150) -> Path:
-    """Write a figure as its ending says (png, svg, pdf); the same figure gives the same bytes."""
+    """Write a figure whole or not at all, as its ending says (png, svg, pdf); one figure always gives the same bytes."""
     path = Path(path)
     undated: dict[str, dict[str, Any]] = {
         ".svg": {"Date": None},
@@ -141,8 +142,8 @@ def save(figure: Figure, path: str | Path, *, dpi: int = 150) -> Path:
         raise InputError(f"no figure format '{path.suffix}'", remedies=("use .png, .svg or .pdf",))
     import matplotlib as mpl
 
-    with mpl.rc_context({"svg.hashsalt": "faultrecon"}):
-        figure.savefig(path, dpi=dpi, metadata=undated[path.suffix.lower()])
+    with mpl.rc_context({"svg.hashsalt": "faultrecon"}), replacing(path) as temporary:
+        figure.savefig(temporary, dpi=dpi, metadata=undated[path.suffix.lower()])
     return path
 
 
