@@ -8,7 +8,7 @@ from typing import Annotated, Any, Optional
 
 import typer
 
-from faultrecon.cli.shell import NEGATIVE, answer, bar, guarded, stages
+from faultrecon.cli.shell import NEGATIVE, answer, bar, guarded, speak_any_letter, stages
 
 app = typer.Typer(
     name="faultrecon",
@@ -30,16 +30,22 @@ Faults = Annotated[
 
 def run_app() -> None:
     """Run the command line."""
+    speak_any_letter()
     app()
 
 
 def _plant(name: str) -> Any:
+    from faultrecon.finding import InputError, did_you_mean
     from faultrecon.io.library import library_names, read_library
     from faultrecon.io.plantfile import read_plant
 
-    if not name.endswith(".toml") and name in library_names() and not Path(name).exists():
-        return read_library(name)
-    return read_plant(name)
+    if name.endswith(".toml") or Path(name).exists():
+        return read_plant(name)
+    if name not in library_names():
+        raise InputError(
+            f"{name}: is neither a plant file nor a library plant", why=did_you_mean(name, library_names())
+        )
+    return read_library(name)
 
 
 @app.command()
@@ -88,9 +94,11 @@ def design(
 ) -> None:
     """Find gains, back off, round, prove, and write the design with its certificate."""
     with guarded(as_json):
-        from faultrecon.io.designfile import write_design
+        from faultrecon.io.designfile import target, write_design
         from faultrecon.synthesis.pipeline import design as make
 
+        if out is not None:
+            target(out)  # an unsuitable name is refused before the work, not after it
         model = _plant(plant)
         with stages("designing") as tell:
             made = make(
@@ -186,10 +194,15 @@ def run(
 def _mapping(pairs: list[str]) -> dict[str, str]:
     from faultrecon.finding import InputError
 
+    mapping: dict[str, str] = {}
     for pair in pairs:
-        if "=" not in pair:
+        name, equals, column = pair.partition("=")
+        if not (name and equals and column):
             raise InputError(f"--column {pair}", why="it is written signal=column")
-    return {name: found for name, _, found in (pair.partition("=") for pair in pairs)}
+        if mapping.get(name, column) != column:
+            raise InputError(f"--column {pair}", why=f"'{name}' has the column '{mapping[name]}' already")
+        mapping[name] = column
+    return mapping
 
 
 @app.command()

@@ -30,28 +30,39 @@ def run_log(
     options: Mapping[str, Any],
 ) -> tuple[dict[str, Any], str]:
     """Replay `log` through the design in `file`; returns the summary as data and as text."""
-    if out is not None:
-        name_extension(str(out))  # a wrong extension is refused before the work, not after it
-    if figure is not None and figure.suffix.lower() not in FIGURES:
-        raise InputError(f"{figure}: unknown kind of figure", remedies=(f"use {', '.join(FIGURES)}",))
+    _check_targets(log, out, figure)
     design = read_design(file, plant)
     done = replay(design, log, mapping=mapping or None, **options)
-    if out is not None:
-        write_log(out, done.columns())
-    if figure is not None:
+    if figure is not None:  # drawn first: where that fails, no table is left without its figure
         from faultrecon.advise.demonstration import replay_figure
         from faultrecon.plot.figures import save
 
         save(replay_figure(done), figure)
+    if out is not None:
+        write_log(out, done.columns())
     return _data(done, out, figure), _text(done, out, figure)
 
 
+def _check_targets(log: str, out: Path | None, figure: Path | None) -> None:
+    """Unsuitable places are refused before the work, not after it; a recording is never written over."""
+    if out is not None:
+        name_extension(str(out))
+        if out.exists() and Path(log).exists() and out.samefile(log):
+            raise InputError(f"{out}: is the recording itself", remedies=("write to another file",))
+    if figure is not None and figure.suffix.lower() not in FIGURES:
+        raise InputError(f"{figure}: unknown kind of figure", remedies=(f"use {', '.join(FIGURES)}",))
+    for path in (p for p in (out, figure) if p is not None):
+        if path.is_dir() or not path.parent.is_dir():
+            why = "it is a folder" if path.is_dir() else f"the folder {path.parent} does not exist"
+            raise InputError(f"cannot write {path}", why=why)
+
+
 def _data(done: Replay, out: Path | None, figure: Path | None) -> dict[str, Any]:
-    scores = done.scores()
+    scores, verified = done.scores(), done.design.verification
     faults = {}
     for j, f in enumerate(done.design.plant.faults):
         values = done.trace.fault[:, j]
-        faults[f.name] = {"rms": _rms(values), "largest": float(np.nanmax(np.abs(values), initial=0.0))}
+        faults[f.name] = {"rms": _rms(values), "largest": _largest(values)}
         if f.name in scores:
             faults[f.name]["score"] = scores[f.name].as_dict()
     return {
@@ -60,6 +71,7 @@ def _data(done: Replay, out: Path | None, figure: Path | None) -> dict[str, Any]
         "missing": dict(done.log.missing),
         "ignored_columns": list(done.log.ignored),
         "flagged_samples": int(np.sum(~done.trace.ok.all(axis=1))),
+        "verdict": None if verified is None else verified.verdict,
         "faults": faults,
         "written": None if out is None else str(out),
         "figure": None if figure is None else str(figure),
@@ -67,8 +79,22 @@ def _data(done: Replay, out: Path | None, figure: Path | None) -> dict[str, Any]
 
 
 def _rms(values: np.ndarray) -> float:
+    top = _largest(values)
     finite = values[np.isfinite(values)]
-    return float(np.sqrt(np.mean(np.square(finite)))) if finite.size else float("nan")
+    return float(top * np.sqrt(np.mean(np.square(finite / top)))) if top > 0 else top  # scaled: squares may overflow
+
+
+def _largest(values: np.ndarray) -> float:
+    """The largest size of a number that is known; nan when none is."""
+    finite = np.abs(values[np.isfinite(values)])
+    return float(finite.max()) if finite.size else float("nan")
+
+
+def _score(s: Mapping[str, float], unit: str) -> str:
+    if np.isnan(s["nrmse"]):
+        return f"it never acts; leak {s['leak']:.4g} {unit}"
+    delay = f"delay {s['delay']:.3g} s" if np.isfinite(s["delay"]) else "never within 37 %"
+    return f"nrmse {s['nrmse']:.3f}, {delay}"
 
 
 def _text(done: Replay, out: Path | None, figure: Path | None) -> str:
@@ -84,7 +110,8 @@ def _text(done: Replay, out: Path | None, figure: Path | None) -> str:
         unit, found = units.get(next(iter(f.on)), ""), data["faults"][f.name]
         lines.append(f"  {f.name}: RMS {found['rms']:.4g} {unit}, largest {found['largest']:.4g} {unit}")
         if "score" in found:
-            s = found["score"]
-            lines.append(f"    against the recorded truth: nrmse {s['nrmse']:.3f}, delay {s['delay']:.3g} s")
+            lines.append(f"    against the recorded truth: {_score(found['score'], unit)}")
+    if data["verdict"] is None:
+        lines.append("  this design carries no certificate; nothing is claimed")
     lines += [f"  wrote {path}" for path in (out, figure) if path is not None]
     return "\n".join(lines)

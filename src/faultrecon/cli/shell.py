@@ -3,15 +3,19 @@
 
 from __future__ import annotations
 
+import io
 import json
 import math
+import os
 import sys
 import time
+import traceback
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Any, NoReturn
 
-from faultrecon.finding import FaultreconError
+from faultrecon.finding import FaultreconError, Finding, Inconclusive, InputError
 
 FINE, NEGATIVE, USAGE, INTERNAL = 0, 1, 2, 3
 PATIENCE = 1.0  # s before a progress bar appears
@@ -30,32 +34,75 @@ def plain(value: Any) -> Any:
     return value
 
 
+def speak_any_letter() -> None:
+    """Let the output streams take γ and ∫ where their encoding has none, as on a redirected Windows console."""
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")
+
+
 def answer(as_json: bool, data: Mapping[str, Any], text: str) -> None:
-    """Print the answer of a verb."""
-    print(json.dumps(plain(data), ensure_ascii=False, indent=1) if as_json else text)
+    """Print the answer of a verb.  Raises InputError when the output takes no more."""
+    try:
+        print(_json(data) if as_json else text, flush=True)  # unflushed, a full disk would only show at exit
+    except BrokenPipeError:
+        raise
+    except OSError as error:
+        _abandon_output()
+        raise InputError("the output cannot be written", why=str(error.strerror or error)) from error
+
+
+def _json(data: Mapping[str, Any]) -> str:
+    """JSON in readable letters where the output can hold them, in escapes where it cannot."""
+    unicode = (sys.stdout.encoding or "").lower().replace("-", "") == "utf8"
+    return json.dumps(plain(data), ensure_ascii=not unicode, indent=1)
 
 
 def leave(error: FaultreconError, as_json: bool) -> NoReturn:
     """End with the exit code of an error; the message goes to the error stream, JSON to the output."""
     if as_json:
-        print(json.dumps(plain({"error": error.finding.as_dict()}), ensure_ascii=False, indent=1))
+        print(_json({"error": error.finding.as_dict()}), flush=True)
     print(f"faultrecon: {error}", file=sys.stderr)
     raise SystemExit(error.exit_code)
 
 
 @contextmanager
 def guarded(as_json: bool = False) -> Iterator[None]:
-    """Turn errors raised on purpose into a message and an exit code; a pipe closed by its reader is no error."""
+    """Turn whatever goes wrong into a message and an exit code; a pipe closed by its reader is no error."""
     try:
         yield
     except FaultreconError as error:
         leave(error, as_json)
     except BrokenPipeError:
-        sys.stderr.close()
+        _abandon_output()
         raise SystemExit(FINE) from None
     except KeyboardInterrupt:
         print("faultrecon: interrupted; nothing half-written is left", file=sys.stderr)
         raise SystemExit(130) from None
+    except OSError as error:  # a full disk, a folder that vanished: the caller can mend it
+        place = f"{error.filename}: " if error.filename else ""
+        leave(InputError(f"{place}cannot be read or written", why=str(error.strerror or error)), as_json)
+    except MemoryError:
+        leave(Inconclusive("there is not enough memory", remedies=("use a shorter log or a smaller plant",)), as_json)
+    except Exception as error:
+        leave(Inconclusive(_internal(error)), as_json)
+
+
+def _internal(error: Exception) -> Finding:
+    """An error nobody foresaw is ours; it is reported with its place, and is no verdict on the plant."""
+    last = traceback.extract_tb(error.__traceback__)[-1]
+    place = f"{Path(last.filename).name}, line {last.lineno}"
+    return Finding(
+        f"internal error, {type(error).__name__} in {place}",
+        why=str(error)[:200],
+        remedies=("please report it with the command and its files",),
+    )
+
+
+def _abandon_output() -> None:
+    """Send what is still buffered nowhere, so that closing a broken output raises nothing at exit."""
+    if sys.stdout is sys.__stdout__:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 @contextmanager

@@ -4,11 +4,13 @@
 from __future__ import annotations
 
 import json
+import math
 import os
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
 
-from faultrecon.certificate import Certificate, read_document
+from faultrecon.certificate import DAMAGE, Certificate, read_document
 from faultrecon.finding import InputError
 from faultrecon.methods.registry import method as method_named
 from faultrecon.plant.plant import Plant, exact_matrix
@@ -20,6 +22,7 @@ from faultrecon.synthesis.report import DesignReport
 from faultrecon.synthesis.result import Design
 
 SCHEMA = 1
+REMAKE = ("make the design again from its plant file",)
 
 
 def design_document(design: Design) -> dict[str, Any]:
@@ -40,13 +43,32 @@ def design_document(design: Design) -> dict[str, Any]:
     }
 
 
+def target(path: str | os.PathLike[str]) -> Path:
+    """The path of a design file to write.  Raises InputError on another extension, a folder, or a missing folder."""
+    file = Path(path)
+    if file.suffix.lower() != ".json":
+        raise InputError(f"{file}: the extension is '{file.suffix}'", remedies=("a design file ends in .json",))
+    if file.is_dir() or not file.parent.is_dir():
+        why = "it is a folder" if file.is_dir() else f"the folder {file.parent} does not exist"
+        raise InputError(f"cannot write {file}", why=why)
+    return file
+
+
 def write_design(design: Design, path: str | os.PathLike[str]) -> None:
-    """Write a design file atomically.  Raises InputError, and writes nothing, when the certificate does not hold."""
+    """Write a design file atomically.
+
+    Raises InputError, and writes nothing, when the certificate does not hold or the place takes no file.
+    """
+    file = target(path)
     found = design.verification
     if found is not None and not found.sound:
         refuted = next(s for s in found.steps if s.verdict == "refuted")
-        raise InputError(f"{os.fspath(path)}: this design is not certified", why=str(refuted))
-    write_text(path, json.dumps(design_document(design), indent=1, ensure_ascii=False, allow_nan=False) + "\n")
+        raise InputError(f"{file}: this design is not certified", why=str(refuted))
+    text = json.dumps(design_document(design), indent=1, ensure_ascii=False, allow_nan=False) + "\n"
+    try:
+        write_text(file, text)
+    except OSError as error:
+        raise InputError(f"cannot write {file}", why=str(error.strerror or error)) from error
 
 
 def read_design(path: str | os.PathLike[str], plant: Plant | None = None) -> Design:
@@ -64,17 +86,32 @@ def read_design(path: str | os.PathLike[str], plant: Plant | None = None) -> Des
                 remedies=("update faultrecon", "make the design again"),
             )
         own = plant_from_dict(document["plant"])
-        if plant is not None and plant.digest() != own.digest():
-            raise InputError(
-                f"this is a design for '{own.name}', not for this '{plant.name}'",
-                why=_difference(own.to_dict(), plant.to_dict()),
-                remedies=("make the design again from the plant file you run with",),
-            )
+        if plant is not None:
+            _demand_same(own, plant)
         return _checked(document, own)
-    except KeyError as error:
-        raise InputError(f"{source}: is damaged", why=f"{error} is missing") from error
     except InputError as error:
         raise InputError(f"{source}: {error.finding.what}", **_parts(error)) from error
+    except KeyError as error:
+        raise InputError(f"{source}: is damaged", why=f"{error} is missing", remedies=REMAKE) from error
+    except DAMAGE as error:
+        raise InputError(f"{source}: is damaged", why=f"{type(error).__name__}: {error}", remedies=REMAKE) from error
+
+
+def _demand_same(own: Plant, plant: Plant) -> None:
+    """The design's plant is this plant, or this plant with some of its faults taken as healthy."""
+    names = [f.name for f in own.faults]
+    if {*names} <= {f.name for f in plant.faults}:
+        plant = plant.with_faults(names)
+    if plant.digest() != own.digest():
+        raise InputError(
+            f"this is a design for '{own.name}', not for this '{plant.name}'",
+            why=_difference(own.to_dict(), plant.to_dict()),
+            remedies=("make the design again from the plant file you run with",),
+        )
+
+
+ORDER = ("signals", "names", "matrices", "shape", "A", "B", "C", "D")
+"""Parts of a plant in which a difference explains the others."""
 
 
 def _parts(error: InputError) -> dict[str, Any]:
@@ -83,12 +120,13 @@ def _parts(error: InputError) -> dict[str, Any]:
 
 
 def _checked(document: Mapping[str, Any], plant: Plant) -> Design:
-    chosen = method_named(document["method"])
+    chosen = method_named(str(document["method"]))
     gains = gains_from(document["gains"])
     certificate = None if document["certificate"] is None else Certificate.from_document(document)
     details = DesignReport.from_dict(document["details"])
     level = None if certificate is None else certificate.level
-    design = Design(plant, chosen.name, gains, document["optimum"], level, document["floor"], certificate, details)
+    optimum, floor = (_level(document, name) for name in ("optimum", "floor"))
+    design = Design(plant, chosen.name, gains, optimum, level, floor, certificate, details)
     if certificate is not None:
         if certificate.method != chosen.name or not conforms(certificate, chosen.theorem(plant, scale(plant))):
             raise InputError(
@@ -104,13 +142,27 @@ def _checked(document: Mapping[str, Any], plant: Plant) -> Design:
     return design
 
 
+def _level(document: Mapping[str, Any], name: str) -> float | None:
+    """A stored level; the certificate does not cover it, so it is only looked at for being a number."""
+    value = document[name]
+    if value is None or (isinstance(value, float | int) and not isinstance(value, bool) and math.isfinite(value)):
+        return None if value is None else float(value)
+    raise InputError(f"{name} is {value!r:.40}", why="it is a number or null", remedies=REMAKE)
+
+
 def _difference(a: Any, b: Any, path: str = "") -> str:
-    """Where two plain values differ first, in words."""
+    """Where two plain values differ first, in words; what people would notice first comes first."""
     if isinstance(a, Mapping) and isinstance(b, Mapping):
-        for key in sorted({*a, *b}, key=str):
+        if "hex" in a and a.get("shape") == b.get("shape"):
+            k = next(k for k, (x, y) in enumerate(zip(a["hex"], b["hex"], strict=True)) if x != y)
+            row, column = divmod(k, a["shape"][1])
+            return _difference(a["hex"][k], b["hex"][k], f"{path}[{row}][{column}]")
+        for key in sorted({*a, *b}, key=lambda k: (ORDER.index(k) if k in ORDER else len(ORDER), str(k))):
             if a.get(key) != b.get(key):
                 return _difference(a.get(key), b.get(key), f"{path}.{key}".lstrip("."))
-    if isinstance(a, list) and isinstance(b, list) and len(a) == len(b):
+    if isinstance(a, list) and isinstance(b, list):
+        if len(a) != len(b):
+            return f"{path} has {len(a)} entries in the design and {len(b)} in the plant"
         for k, (x, y) in enumerate(zip(a, b, strict=True)):
             if x != y:
                 return _difference(x, y, f"{path}[{k}]")

@@ -12,6 +12,7 @@ import numpy as np
 
 from faultrecon.finding import InputError
 from faultrecon.io.logs import Log, read_log
+from faultrecon.plant.plant import Plant
 from faultrecon.runtime.estimator import Trace
 from faultrecon.runtime.stepping import Hold, Scheme
 from faultrecon.simulation.metrics import FaultScore, scores
@@ -32,19 +33,17 @@ class Replay:
     def columns(self) -> dict[str, np.ndarray]:
         """Time, inputs, measurements, f_<fault>, <sensor>_corrected for every sensor a fault reaches, <sensor>_ok."""
         signals, log, trace = self.design.plant.signals, self.log, self.trace
-        table: dict[str, np.ndarray] = {"t": log.t}
-        table |= {name: log.u[:, j] for j, name in enumerate(signals.u)}
-        table |= {name: log.y[:, j] for j, name in enumerate(signals.y)}
-        table |= {f"f_{f.name}": trace.fault[:, j] for j, f in enumerate(self.design.plant.faults)}
-        for name in self.corrected_sensors():
-            table[f"{name}_corrected"] = trace.corrected[:, signals.y.index(name)]
-        table |= {f"{name}_ok": trace.ok[:, j] for j, name in enumerate(signals.y)}
-        return table
+        reached = [signals.y.index(name) for name in corrected_sensors(self.design.plant)]
+        values = [
+            *(log.t, *log.u.T, *log.y.T, *trace.fault.T),
+            *(trace.corrected[:, j] for j in reached),
+            *trace.ok.T,
+        ]
+        return dict(zip(column_names(self.design.plant), values, strict=True))
 
     def corrected_sensors(self) -> list[str]:
         """The sensors that a declared fault reaches, in order."""
-        reached = {name for f in self.design.plant.faults for name in f.on}
-        return [name for name in self.design.plant.signals.y if name in reached]
+        return corrected_sensors(self.design.plant)
 
     def truth(self, fault: str) -> np.ndarray | None:
         """The true fault that the log carries as `true_f_<fault>`, if it does."""
@@ -58,6 +57,27 @@ class Replay:
             if true is not None:
                 found |= scores(self.log.t, true[:, None], self.trace.fault[:, [j]], (f.name,))
         return found
+
+
+def corrected_sensors(plant: Plant) -> list[str]:
+    """The sensors that a declared fault reaches, in order."""
+    reached = {name for f in plant.faults for name in f.on}
+    return [name for name in plant.signals.y if name in reached]
+
+
+def column_names(plant: Plant) -> list[str]:
+    """The columns of a reconstruction in order.  Raises InputError when two would bear one name."""
+    y = plant.signals.y.names
+    names = ["t", *plant.signals.u.names, *y, *(f"f_{f.name}" for f in plant.faults)]
+    names += [*(f"{name}_corrected" for name in corrected_sensors(plant)), *(f"{name}_ok" for name in y)]
+    twice = next((name for k, name in enumerate(names) if name in names[:k]), None)
+    if twice is not None:
+        raise InputError(
+            f"two columns of the reconstruction would be called '{twice}'",
+            why=f"{plant.name} has a signal of that name",
+            remedies=("rename the signal or the fault",),
+        )
+    return names
 
 
 def replay(
@@ -76,6 +96,7 @@ def replay(
     what samples mean in between; mapping gives the column of a signal where names differ.
     Raises InputError on a bad log and on a step beyond the stability limit, before anything runs.
     """
+    column_names(design.plant)  # a clash of names is refused before the work
     if not isinstance(log, Log):
         log = read_log(log, design.plant.signals, mapping=mapping)
     if sample_time is None:

@@ -2,8 +2,8 @@
 """Definiteness in floating point with rigorous error bounds: sub-millisecond, and sound on IEEE 754 arithmetic.
 
 Every matrix is read as a midpoint with a componentwise radius that covers all rounding of its assembly; then Cholesky
-of the midpoint, shifted down by a bound on its own rounding and on the radius, has to succeed [Rump 2006, "Verification of
-positive definiteness"].  Needs round to nearest and a classical (not Strassen) matrix product; the exact proof
+of the midpoint, shifted down by a bound on its own rounding and on the radius, has to succeed [Rump 2006, "Verification
+of positive definiteness"].  Needs round to nearest and a classical (not Strassen) matrix product; the exact proof
 (`lmi.exact`) needs neither, and is the one that is stored.
 """
 

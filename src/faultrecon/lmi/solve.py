@@ -21,7 +21,11 @@ ROOT2 = np.sqrt(2.0)
 
 @dataclass(frozen=True)
 class Outcome:
-    """What the solver answered: `values` by unknown (empty unless solved), `objective`, its own word and effort."""
+    """What the solver answered: `values` by unknown (empty unless solved), `objective`, its own word and effort.
+
+    duals: one symmetric matrix per inequality, scaled as the solver saw it; of a certificate of infeasibility when
+    infeasible, of the optimum when solved.
+    """
 
     status: Literal["solved", "infeasible", "unknown"]
     values: dict[str, np.ndarray] = field(default_factory=dict)
@@ -29,6 +33,7 @@ class Outcome:
     solver: str = ""
     iterations: int = 0
     seconds: float = 0.0
+    duals: tuple[np.ndarray, ...] = ()
 
     @property
     def solved(self) -> bool:
@@ -98,12 +103,14 @@ def solve(problem: Problem, *, margin: float = 0.0, tolerance: float = 1e-9, tim
         return Outcome("unknown", solver=f"Clarabel: {type(failure).__name__}: {failure}")
     seconds = time.perf_counter() - started
     word, iterations = str(answer.status).rpartition(".")[2], int(answer.iterations)
-    effort = {"solver": f"Clarabel: {word}", "iterations": iterations, "seconds": seconds}
+    z = np.asarray(answer.z, dtype=float)
+    duals = tuple(_smat(part, n) for part, n in _parts(z, data.sizes))
+    effort = {"solver": f"Clarabel: {word}", "iterations": iterations, "seconds": seconds, "duals": duals}
     v = np.asarray(answer.x, dtype=float)
     if word in ("Solved", "AlmostSolved") and np.all(np.isfinite(v)):
         constant = 0.0 if problem.objective is None else float(problem.objective.constant[0, 0])
         return Outcome("solved", problem.unpack(v), float(data.q @ v) + constant, **effort)
-    if word == "PrimalInfeasible" and _farkas(data, np.asarray(answer.z, dtype=float)):
+    if word == "PrimalInfeasible" and _farkas(data, z):
         return Outcome("infeasible", **effort)
     return Outcome("unknown", **effort)
 
@@ -127,7 +134,7 @@ def _clarabel(data: ConicData, tolerance: float, time_limit: float) -> Any:
 
 
 FAR = 1e6
-"""How far out, beside the sizes of the data, a dual certificate has to exclude solutions before "infeasible" is said."""
+"""How far out, beside the sizes of the data, a dual certificate excludes solutions before "infeasible" is said."""
 
 
 def _farkas(data: ConicData, z: np.ndarray) -> bool:

@@ -46,11 +46,13 @@ def stable_subspace(F: Array, Q: Array, S: Array) -> StableSubspace | Array:
     from scipy.linalg import LinAlgError, lapack, schur
 
     n = F.shape[0]
+    if not (np.isfinite(F).all() and np.isfinite(Q).all() and np.isfinite(S).all()):
+        return np.zeros(0)
     size = spectral_norm(S), spectral_norm(Q)
     unit = float(np.exp2(np.rint(0.5 * np.log2(size[0] / size[1])))) if min(size) > 0 else 1.0
     H = np.block([[F, Q * unit], [-S / unit, -F.T]])
-    if n == 0 or not np.isfinite(H).all():
-        return np.zeros(0) if n else StableSubspace(H, H, H, 1.0, 0.0)
+    if n == 0:
+        return StableSubspace(H, H, H, 1.0, 0.0)
     try:
         T, U = schur(H)[:2]
     except (LinAlgError, ValueError):

@@ -141,8 +141,9 @@ def optimal_level(
         return _accepted_level(problem, search, beta, ceiling, 0.5 * rtol)
 
     if m and beta is None:
-        start = _minimise(search, by_frequency, 1.0, 1e-4, floor)[0]  # spends no Schur form
-        at, g, lower = _minimise(search, by_riccati, start, 2 * rtol, floor)
+        least = _least_ratio(problem)
+        start = _minimise(search, by_frequency, 1.0, 1e-4, floor, least)[0]  # spends no Schur form
+        at, g, lower = _minimise(search, by_riccati, start, 2 * rtol, floor, least)
     else:
         at = 1.0 if beta is None or not m else float(beta)
         by_frequency(at, np.inf)
@@ -259,7 +260,7 @@ def frequency_cuts(forms: tuple[Array, Array, Array], m: int, beta: float, g: fl
     strongest: Cut | None = None
     size = forms[0].shape[-1]
     for _ in range(30):
-        if size == 0 or forms[0].shape[0] == 0:
+        if size == 0 or forms[0].shape[0] == 0 or not np.isfinite(g):
             break
         Mb, Mg, M0 = forms
         d = 1 / np.sqrt(np.where(np.arange(size) < m, beta, g))
@@ -330,8 +331,8 @@ def _gain_cut(
 
     along_g = trace(p.Cn @ U2) + trace(J)
     along_beta = trace(p.Bf.T @ U1) / beta**2 - trace(p.G @ U2)
-    # A relative rounding of H moves v'P v by at most |dH| tr W: the half plane gives way by that much.
-    doubt = found.rounding * float(np.trace(W))
+    # A rounding dH of H moves v'P v by at most |dH| tr W, in practice a small part of it: the half plane gives way.
+    doubt = 0.1 * found.rounding * float(np.trace(W))
     constant = along_g * g + along_beta * beta - (float(sine) + doubt) / found.unit
     clear = abs(float(sine)) > doubt or doubt / found.unit <= 1e-9 * abs(along_g) * g
     return Cut(float(along_beta), float(along_g), constant, frequency=False), clear
@@ -349,7 +350,7 @@ def _accepted_level(
     for _ in range(80):
         if accepted <= low * (1 + 2 * slack):
             return accepted, True
-        if not low < ceiling or not np.isfinite(low) or low > 1e24 * max(_tiny(problem), problem.least):
+        if not low < ceiling or not np.isfinite(low) or low > 1e36 * max(_tiny(problem), problem.least):
             return low, False
         trial = guess if low * (1 + 4 * margin) < guess < accepted else min(low * (1 + margin), accepted)
         fits, cuts = test_level(problem, search, beta, trial)
@@ -408,7 +409,9 @@ Oracle = Callable[[float, float], tuple[float, bool]]
 """(beta, ceiling) -> (g, whether g is feasible at beta), adding cuts on the way; it may stop once g passes the ceiling."""
 
 
-def _minimise(search: Search, oracle: Oracle, beta: float, rtol: float, floor: float) -> tuple[float, float, float]:
+def _minimise(
+    search: Search, oracle: Oracle, beta: float, rtol: float, floor: float, least_ratio: float
+) -> tuple[float, float, float]:
     """Close the gap between the best level of the oracle and the lowest point of all cuts: (beta, g, lower bound)."""
     best_beta, best, lower, vain = beta, np.inf, floor, 0
     ends: dict[bool, tuple[float, float]] = {}  # falling?: (log beta, d g / d log beta)
@@ -421,9 +424,9 @@ def _minimise(search: Search, oracle: Oracle, beta: float, rtol: float, floor: f
             best_beta, best = beta, g
         lowest, lower = _lowest(search)
         lower = max(lower, floor)
-        # Where beta tends to 0 rounding stops the progress: three rounds in vain are enough.
+        # Where beta tends to 0 rounding stops the progress: four rounds in vain are enough.
         vain = vain + 1 if np.isfinite(gap) and best / lower - 1 > 0.99 * gap else 0
-        if best <= lower * (1 + rtol) or vain >= 3:
+        if best <= lower * (1 + rtol) or vain >= 4:
             break
         if not np.isfinite(lower):
             raise _no_level(search, None)
@@ -440,14 +443,25 @@ def _minimise(search: Search, oracle: Oracle, beta: float, rtol: float, floor: f
         elif len(ends) == 2:
             beta = _vanishing_slope(*ends[True], *ends[False])
         else:  # at the edge of the feasible beta the cuts alone creep, so each step is also longer than the last
-            beta = float(np.clip(lowest, beta * stride, beta * 100) if falling else np.clip(lowest, beta / 100, beta / stride))
+            far, near = (100.0, stride) if falling else (0.01, 1 / stride)
+            beta = max(float(np.clip(lowest, *sorted((beta * near, beta * far)))), least_ratio * lower)
             stride *= stride
+        for _ in range(40):  # where the cuts already exclude an improvement there is nothing to learn
+            if search.bound(beta)[0] < best:
+                break
+            beta = max(float(np.clip(lowest, beta / 10, beta * 10)), least_ratio * lower)
     return best_beta, best, min(lower, best)
+
+
+def _least_ratio(problem: FilterProblem) -> float:
+    """beta/g below which the nonlinearity's channel outweighs the disturbances by more than arithmetic can hold."""
+    return 1e-12 * (spectral_norm(problem.Bf) / max(spectral_norm(problem.B0), 1e-150)) ** 2
 
 
 def _vanishing_slope(left: float, falling: float, right: float, rising: float) -> float:
     """Where a slope that is linear in log beta passes through 0 between two ends, given as (log beta, slope) each."""
-    share = falling / (falling - rising) if rising > falling else 0.5
+    steeper = max(-falling, rising) / max(min(-falling, rising), 1e-300)
+    share = falling / (falling - rising) if steeper < 1e3 else 0.5  # one end beyond the feasible beta: halve
     return float(np.exp(left + np.clip(share, 1e-3, 1 - 1e-3) * (right - left)))
 
 
@@ -460,10 +474,12 @@ def _root(g: float) -> float:
 
 
 def _tiny(problem: FilterProblem) -> float:
-    """A level that is zero for every purpose: 1e-9 of a crude gain."""
+    """A level that is zero for every purpose: the square of 1e-9 of a crude gain."""
     p = problem
-    gain = spectral_norm(p.H0) * spectral_norm(np.hstack([p.Bf, p.B0])) / max(spectral_norm(p.A0), 1e-300)
-    return max((1e-9 * gain) ** 2, 1e-18 * problem.least, 1e-300)
+    driven = spectral_norm(np.hstack([p.Bf, p.B0])) / max(spectral_norm(p.A0), 1e-150)
+    shown = 1 / max(spectral_norm(p.Cn), 1e-150)
+    gain = spectral_norm(p.H0) * min(max(driven, shown), 1e9)
+    return max((1e-9 * gain) ** 2, 1e-18 * problem.least, 1e-100)
 
 
 def _no_level(search: Search, beta: float | None) -> Impossible | Inconclusive:

@@ -38,6 +38,7 @@ class Lipschitz:
     def __post_init__(self) -> None:
         if not (math.isfinite(self.constant) and self.constant >= 0):
             raise InputError(f"the Lipschitz constant is {self.constant}", why="it is finite and not negative")
+        _finite("phi", self.into)
         if self.into.shape[1] != self.phi.n_outputs:
             raise InputError(
                 f"phi has {self.phi.n_outputs} components and enters through {self.into.shape[1]} columns",
@@ -73,13 +74,20 @@ class KnownTerm:
     g: Graph
 
     def __post_init__(self) -> None:
+        _finite("g", self.into)
         if self.into.shape[1] != self.g.n_outputs:
             raise InputError(f"g has {self.g.n_outputs} components and enters through {self.into.shape[1]} columns")
+
+
+def _finite(owner: str, into: NDArray[np.float64]) -> None:
+    if not np.all(np.isfinite(into)):
+        raise InputError(f"{owner} enters an equation with a coefficient that is not finite")
 
 
 def used_names(texts: Sequence[str], names: Sequence[str]) -> tuple[str, ...]:
     """Which of `names` occur in the formulas, in the order of `names`."""
     import re
 
-    words = {word for text in texts for word in re.findall(r"[A-Za-z_]\w*", text)}
+    # The lookbehind keeps the exponent of a number such as 1e3 from counting as a name.
+    words = {word for text in texts for word in re.findall(r"(?<![\w.])[A-Za-z_]\w*", text)}
     return tuple(name for name in names if name in words)

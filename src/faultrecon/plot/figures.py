@@ -131,7 +131,7 @@ def overview_figure(panels: Sequence[Panel], *, title: str = "") -> Figure:
 
 
 def save(figure: Figure, path: str | Path, *, dpi: int = 150) -> Path:
-    """Write a figure whole or not at all, as its ending says (png, svg, pdf); one figure always gives the same bytes."""
+    """Write a figure whole or not at all, as its ending says (png, svg, pdf); one figure gives the same bytes."""
     path = Path(path)
     undated: dict[str, dict[str, Any]] = {
         ".svg": {"Date": None},

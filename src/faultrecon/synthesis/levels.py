@@ -51,9 +51,13 @@ class Posed:
             found.append(Inequality(X + X.T + 2 * self.pole_bound * self.theorem.lyapunov, ">", 0, "pole bound"))
         return found
 
+    def problem(self) -> Problem:
+        """The smallest squared level as a semidefinite program."""
+        return Problem(self.inequalities(), self.theorem.minimise, self.fixed)
+
     def optimum(self) -> Outcome:
         """The smallest squared level."""
-        return solve(Problem(self.inequalities(), self.theorem.minimise, self.fixed))
+        return solve(self.problem())
 
     def at_level(self, level: float) -> Problem:
         """The feasibility problem at a level."""

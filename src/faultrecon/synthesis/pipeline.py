@@ -11,15 +11,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from faultrecon.certificate import Certificate, Verification
 from faultrecon.diagnosis.limits import reconstruction_floor
 from faultrecon.finding import Impossible, Inconclusive, InputError
 from faultrecon.lmi.solve import Outcome
 from faultrecon.methods.base import Method
 from faultrecon.methods.registry import method as method_named
 from faultrecon.plant.plant import Plant
-from faultrecon.synthesis.certify import certificate, prove, shipped
-from faultrecon.synthesis.levels import Posed, multipliers, pose, quietest, smallest_gain
+from faultrecon.synthesis.ladder import climb
+from faultrecon.synthesis.levels import Posed, pose
 from faultrecon.synthesis.refusals import below_floor, below_method, no_answer, no_proof, no_solution
 from faultrecon.synthesis.report import describe
 from faultrecon.synthesis.result import Design
@@ -52,8 +51,9 @@ def design(
 
     faults: names of the faults to reconstruct, the others taken as healthy; all by default.  level: γ to aim at; by
     default (1 + backoff) times the optimum under the pole bound.  pole_bound: ρ in rad/s for Re λ > -ρ, None for none,
-    "auto" for 2 / (noise hold time), or ten times the plant's fastest mode where no noise is declared.  fix, free: unknowns of the theorem held or set free, by letter.  certify=False
-    gives a baseline's gains without a proof.  progress: called with a word before each stage.
+    "auto" for 2 / (noise hold time), or ten times the plant's fastest mode where no noise is declared.  fix, free:
+    unknowns of the theorem held or set free, by letter.  certify=False gives a baseline's gains without a proof.
+    progress: called with a word before each stage.
 
     Raises Impossible (an assumption fails, the level is below what the method or anybody can reach), Inconclusive (the
     solver gave up, or no proof was found), InputError.
@@ -80,34 +80,25 @@ def design(
     posed, bounded, notes = _bounded(chosen, plant, fix, tuple(free), pole_bound, best)
     if level is not None and level <= bounded:
         raise Impossible(below_method(level, bounded, floor, posed))
-    attempts: list[tuple[float, str]] = []
-    for growth in GROWTH if level is None else (1.0,):
-        target = level if level is not None else (1.0 + backoff * growth) * bounded
-        say("gains" if growth == 1.0 else f"gains, backing off by {backoff * growth:.3g}")
-        found, criterion = _gains(posed, target)
-        attempts.append((target, found.solver))
-        if not found.solved:
-            continue
-        gains = shipped(posed.theorem, found.values)
-        say("proof")
-        made, verification = _proved(chosen, posed, gains, found, target)
-        if made is not None:
-            details = describe(
-                plant,
-                chosen.observer(plant, gains),
-                gains,
-                criterion=criterion,
-                backoff=target / bounded - 1.0,
-                pole_bound=posed.pole_bound,
-                bounded_optimum=bounded if posed.pole_bound is not None else None,
-                solves=(found.solver,),
-                seconds=time.perf_counter() - started,
-                notes=(*notes, *(str(f) for f in chosen.assumptions(plant) if f.severity != "fatal")),
-            )
-            result = Design(plant, method, gains, best, target, floor, made, details)
-            result.__dict__["verification"] = verification  # fills the cached property: the proof is not run twice
-            return result
-    raise Inconclusive(no_proof(method, plant, attempts))
+    targets = [level] if level is not None else [(1.0 + backoff * growth) * bounded for growth in GROWTH]
+    proven, rungs = climb(posed, targets, say)
+    if proven is None:
+        raise Inconclusive(no_proof(posed, rungs))
+    details = describe(
+        plant,
+        chosen.observer(plant, proven.gains),
+        proven.gains,
+        criterion=proven.criterion,
+        backoff=proven.level / bounded - 1.0,
+        pole_bound=posed.pole_bound,
+        bounded_optimum=bounded if posed.pole_bound is not None else None,
+        attempts=tuple(str(rung) for rung in rungs),
+        seconds=time.perf_counter() - started,
+        notes=(*notes, *(str(f) for f in chosen.assumptions(plant) if f.severity != "fatal")),
+    )
+    result = Design(plant, method, proven.gains, best, proven.level, floor, proven.certificate, details)
+    result.__dict__["verification"] = proven.verification  # fills the cached property: the proof is not run twice
+    return result
 
 
 def optimum(
@@ -147,7 +138,7 @@ def _level(outcome: Outcome, posed: Posed) -> float:
     if outcome.solved:
         return math.sqrt(max(outcome.objective, 0.0))
     if outcome.status == "infeasible":
-        raise Impossible(no_solution(posed))
+        raise Impossible(no_solution(posed, outcome))
     raise Inconclusive(no_answer(posed, outcome))
 
 
@@ -186,28 +177,6 @@ def automatic_pole_bound(plant: Plant) -> float:
     return OWN_SHARE * fastest if fastest > 0 else math.inf
 
 
-def _gains(posed: Posed, level: float) -> tuple[Outcome, str]:
-    if posed.plant.noise is not None and any(posed.plant.noise.sd):
-        return quietest(posed, level), "least noise in the reconstructed fault (bound)"
-    return smallest_gain(posed, level), "least gain from the healthy outputs to the state, in scaled units (bound)"
-
-
-def _proved(
-    chosen: Method, posed: Posed, gains: Mapping[str, Array], found: Outcome, level: float
-) -> tuple[Certificate | None, Verification | None]:
-    """The certificate of these gains if a proof is found: with the solver's multipliers, else those of most margin."""
-    for attempt in (lambda: found, lambda: multipliers(posed, gains, level)):
-        outcome = attempt()
-        if not outcome.solved:
-            return None, None
-        values = {**posed.fixed, **outcome.values}
-        made = certificate(chosen.name, posed.theorem, posed.plant, gains, values, level)
-        verification = prove(made)
-        if verification.sound:
-            return made, verification
-    return None, None
-
-
 def _unproved(chosen: Method, plant: Plant, started: float) -> Design:
     gains = chosen.gains_without_proof(plant)
     if gains is None:
@@ -220,7 +189,7 @@ def _unproved(chosen: Method, plant: Plant, started: float) -> Design:
         backoff=0.0,
         pole_bound=None,
         bounded_optimum=None,
-        solves=(),
+        attempts=(),
         seconds=time.perf_counter() - started,
     )
     return Design(plant, chosen.name, gains, None, None, None, None, details)

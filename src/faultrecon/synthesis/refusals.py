@@ -6,8 +6,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from faultrecon.finding import Finding
+from faultrecon.lmi.explain import explain
 from faultrecon.lmi.solve import Outcome
-from faultrecon.plant.plant import Plant
+from faultrecon.synthesis.ladder import Rung
 from faultrecon.synthesis.levels import Posed
 
 
@@ -34,9 +35,10 @@ def below_method(level: float, optimum: float, floor: float | None, posed: Posed
     )
 
 
-def no_solution(posed: Posed) -> Finding:
+def no_solution(posed: Posed, outcome: Outcome) -> Finding:
     """The inequalities contradict each other at every level; the solver's dual certificate was checked."""
     term = posed.plant.nonlinearity
+    obstruction = explain(posed.problem(), outcome)
     why, remedies = "no γ whatever satisfies its inequalities", ["use another method that applies"]
     if posed.pole_bound is not None:
         why += f" with poles to the right of -{posed.pole_bound:.4g} rad/s"
@@ -44,8 +46,10 @@ def no_solution(posed: Posed) -> Finding:
     if term is not None:
         why += f" for a Lipschitz constant of {term.constant:.6g}"
         remedies[:0] = ["shrink the domain, and with it the Lipschitz constant", "declare which states phi reads"]
+    why += f" ({obstruction})"
+    evidence = {"alone": list(obstruction.alone), "shares": dict(obstruction.shares), "solver": outcome.solver}
     what = f"{posed.method.name} has no solution for {posed.plant.name}"
-    return Finding(what, why=why, remedies=tuple(remedies), see=f"Theorem {posed.theorem.number}")
+    return Finding(what, why, evidence, tuple(remedies), f"Theorem {posed.theorem.number}")
 
 
 def no_answer(posed: Posed, outcome: Outcome) -> Finding:
@@ -57,11 +61,11 @@ def no_answer(posed: Posed, outcome: Outcome) -> Finding:
     )
 
 
-def no_proof(method: str, plant: Plant, attempts: Sequence[tuple[float, str]]) -> Finding:
-    """Points were found and none of them could be proved, or none was found."""
-    tried = "; ".join(f"γ = {level:.6g}: {word}" for level, word in attempts)
+def no_proof(posed: Posed, rungs: Sequence[Rung]) -> Finding:
+    """Points were found and none of them could be proved, or none was found: not certified, with what refutes it."""
     return Finding(
-        f"{method} found no gains for {plant.name} that could be proved",
-        why=f"tried {tried}",
+        f"{posed.method.name} found no gains for {posed.plant.name} that could be proved; nothing is certified",
+        why="; ".join(str(rung) for rung in rungs),
+        evidence={"tried": [str(rung) for rung in rungs]},
         remedies=("ask for a larger level", "declare signal ranges so that the problem is scaled", "relax pole_bound"),
     )

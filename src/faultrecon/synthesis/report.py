@@ -35,13 +35,13 @@ class DesignReport:
     slowest_pole: float
     largest_step: float
     noise_sd: Mapping[str, float] | None
-    solves: tuple[str, ...]
+    attempts: tuple[str, ...]
     seconds: float
     notes: tuple[str, ...] = ()
 
     def as_dict(self) -> dict[str, Any]:
         """Plain values for files and `--json`; an unlimited step is None."""
-        return {**self.__dict__, "gain_norms": dict(self.gain_norms), "solves": list(self.solves)} | {
+        return {**self.__dict__, "gain_norms": dict(self.gain_norms), "attempts": list(self.attempts)} | {
             "noise_sd": None if self.noise_sd is None else dict(self.noise_sd),
             "notes": list(self.notes),
             "largest_step": self.largest_step if np.isfinite(self.largest_step) else None,
@@ -52,7 +52,7 @@ class DesignReport:
         """The report that `as_dict` wrote.  Raises InputError on damage."""
         try:
             step = stored["largest_step"]
-            lists = {k: tuple(stored[k]) for k in ("solves", "notes")}
+            lists = {k: tuple(stored[k]) for k in ("attempts", "notes")}
             return DesignReport(**{**stored, **lists, "largest_step": np.inf if step is None else float(step)})
         except (KeyError, TypeError, ValueError) as error:
             raise InputError("the stored report is damaged", why=f"{type(error).__name__}: {error}") from error
