@@ -60,8 +60,11 @@ def _json(data: Mapping[str, Any]) -> str:
 
 def leave(error: FaultreconError, as_json: bool) -> NoReturn:
     """End with the exit code of an error; the message goes to the error stream, JSON to the output."""
-    if as_json:
-        print(_json({"error": error.finding.as_dict()}), flush=True)
+    try:
+        if as_json:
+            print(_json({"error": error.finding.as_dict()}), flush=True)
+    except OSError:  # nobody listens, or the disk is full; the exit code still tells
+        _abandon_output()
     print(f"faultrecon: {error}", file=sys.stderr)
     raise SystemExit(error.exit_code)
 

@@ -374,7 +374,7 @@ def _beyond_newton(axis: float, g: float, newton: float) -> float:
     With f = -a + b sqrt(g - axis) the tangent at g vanishes at `newton` and f itself at the value returned, above it.
     """
     x, step = g - axis, newton - g
-    return newton + step**2 / (4 * x) if x > 0 and step > 0 else 0.0
+    return min(newton + step**2 / (4 * x), 2 * newton) if x > 0 and step > 0 else 0.0
 
 
 def _lowest(search: Search) -> tuple[float, float]:
@@ -455,7 +455,8 @@ def _minimise(
 
 def _least_ratio(problem: FilterProblem) -> float:
     """beta/g below which the nonlinearity's channel outweighs the disturbances by more than arithmetic can hold."""
-    return 1e-12 * (spectral_norm(problem.Bf) / max(spectral_norm(problem.B0), 1e-150)) ** 2
+    disturbed = spectral_norm(problem.B0)
+    return 1e-12 * (spectral_norm(problem.Bf) / disturbed) ** 2 if disturbed > 0 else 0.0
 
 
 def _vanishing_slope(left: float, falling: float, right: float, rising: float) -> float:

@@ -4,7 +4,7 @@
 Interior-point answers lie on the boundary of their own inequalities, on either side of it.  So for each level, from the
 one wanted upwards:  (1) round the gains and test them with the solver's own multipliers;  (2) keep the gains and solve
 for the multipliers of largest margin;  (3) grow the back-off and begin again.  What still fails is reported with the
-vector that refutes it.  Each test is first made in floating point with rigorous bounds (a millisecond) and then exactly.
+vector that refutes it.  Each test is made in floating point with rigorous bounds (a millisecond) and then exactly.
 """
 
 from __future__ import annotations
