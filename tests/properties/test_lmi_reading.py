@@ -54,7 +54,7 @@ def fractions(expr, values):
             return [[Fraction(0)] * expr.shape[1] for _ in range(expr.shape[0])]
         case "block":
             rows = [[fractions(b, values) for b in row] for row in expr.args[0]]
-            return [sum((b[i] for b in row), []) for row in rows for i in range(len(row[0]))]
+            return [[v for b in row for v in b[i]] for row in rows for i in range(len(row[0]))]
     a = fractions(expr.args[0], values)
     match expr.op:
         case "neg":
@@ -183,7 +183,7 @@ def test_the_solvers_vectors_hold_the_matrix_up_to_a_congruence_by_powers_of_two
 @settings(max_examples=20, deadline=None)
 @forall(st.integers(0, 2**32 - 1), st.floats(1e-9, 1e-3))
 def test_a_margin_moves_the_scaled_matrix_by_that_multiple_of_the_identity(seed, margin):
-    whole, values = inequality(np.random.default_rng(seed), 3, 2, 1, 1.0)
+    whole, _ = inequality(np.random.default_rng(seed), 3, 2, 1, 1.0)
     problem = Problem([whole])
     plain, moved = conic_data(problem), conic_data(problem, margin)
     (size,) = plain.sizes

@@ -2,6 +2,7 @@
 """The solver's three words, against an independent modelling layer; "infeasible" is never said without a reason."""
 
 import warnings
+from dataclasses import replace
 from types import SimpleNamespace
 
 import cvxpy as cp
@@ -25,15 +26,15 @@ EXAMPLES = ["lipschitz_aircraft", "lipschitz_polynomial"]
 
 def oracle(A, Bφ, Hφ, B, C1, E1, C2, E2, α, solver="CLARABEL"):
     """inf γ² of Theorem 3.1 with K₁ = 0, written again for CVXPY in unscaled units."""
-    n, m, l, q = len(A), Bφ.shape[1], B.shape[1], len(C2)
+    n, m, w, q = len(A), Bφ.shape[1], B.shape[1], len(C2)
     P, Z, β, γ2 = cp.Variable((n, n), symmetric=True), cp.Variable((n, len(C1))), cp.Variable(), cp.Variable()
     Ω = A.T @ P + P @ A - C1.T @ Z.T - Z @ C1 + β * (α**2 * Hφ.T @ Hφ)
     PB = P @ B - Z @ E1
     M = cp.bmat(
         [
             [Ω, P @ Bφ, PB, -C2.T],
-            [Bφ.T @ P, -β * np.eye(m), np.zeros((m, l)), np.zeros((m, q))],
-            [PB.T, np.zeros((l, m)), -γ2 * np.eye(l), -E2.T],
+            [Bφ.T @ P, -β * np.eye(m), np.zeros((m, w)), np.zeros((m, q))],
+            [PB.T, np.zeros((w, m)), -γ2 * np.eye(w), -E2.T],
             [-C2, np.zeros((q, m)), -E2, -np.eye(q)],
         ]
     )
@@ -47,7 +48,7 @@ def oracle(A, Bφ, Hφ, B, C1, E1, C2, E2, α, solver="CLARABEL"):
 
 def ours(A, Bφ, Hφ, B, C1, E1, C2, E2, α):
     """The same infimum through our expressions and svec data."""
-    n, m, l, q = len(A), Bφ.shape[1], B.shape[1], len(C2)
+    n, m, w, q = len(A), Bφ.shape[1], B.shape[1], len(C2)
     a, b, c1, e1, h = given("A", A), given("B", B), given("C₁", C1), given("E₁", E1), given("H", Hφ)
     g, h1, h2 = given("B_φ", Bφ), given("H₁", -C2), given("H₂", -E2)
     P, Z, β, γ2 = unknown("P", n, n, symmetric=True), unknown("Z", n, len(C1)), unknown("β"), unknown("γ²")
@@ -55,7 +56,7 @@ def ours(A, Bφ, Hφ, B, C1, E1, C2, E2, α):
     blocks = [
         [Ω, P @ g, P @ b - Z @ e1, h1.T],
         [__, -β * I(m), 0, 0],
-        [__, __, -γ2 * I(l), h2.T],
+        [__, __, -γ2 * I(w), h2.T],
         [__, __, __, -I(q)],
     ]
     return solve(Problem([sym(blocks) < 0, P > 0, β > 0], γ2))
@@ -190,7 +191,7 @@ def test_data_out_of_all_proportion_never_make_a_solvable_problem_impossible(siz
 def test_a_solver_that_is_fed_nonsense_gives_no_answer():
     v = scalar("v")
     data = conic_data(Problem([v - 1 > 0], v))
-    spoilt = conic.ConicData(data.q * np.nan, data.M, data.b, data.sizes)
+    spoilt = replace(data, q=data.q * np.nan)
     try:
         answer = conic._clarabel(spoilt, 1e-9, 10.0)
     except Exception:

@@ -21,7 +21,7 @@ from faultrecon.lmi.prove import fast_algebra
 from faultrecon.methods.registry import method
 from faultrecon.plant.fault import FaultChannel
 from faultrecon.plant.lipschitz import KnownTerm
-from faultrecon.synthesis import pipeline
+from faultrecon.synthesis import ladder
 from faultrecon.synthesis.certify import conforms
 from faultrecon.synthesis.levels import scale
 from faultrecon.synthesis.pipeline import design
@@ -82,7 +82,7 @@ def value(tree, known):
         return [[Fraction(0)] * c for _ in range(r)], (r, c)
     if op == "block":
         rows = [[value(b, known) for b in row] for row in arguments[0]]
-        out = [sum((b[0][i] for b in row), []) for row in rows for i in range(row[0][1][0])]
+        out = [[v for b in row for v in b[0][i]] for row in rows for i in range(row[0][1][0])]
         return out, (len(out), sum(b[1][1] for b in rows[0]))
     parts = [value(a, known) for a in arguments]
     (a, (r, c)) = parts[0]
@@ -321,7 +321,7 @@ def test_a_design_file_with_a_weaker_statement_is_refused(trick, tmp_path):
     stored["certificate"]["digests"] = dict(read(stored, reseal=True).digests)
     path = tmp_path / "design.json"
     path.write_text(json.dumps(stored), encoding="utf-8")
-    with pytest.raises(InputError, match="theorem|contradicts|refuted"):
+    with pytest.raises(InputError, match=r"theorem|contradicts|refuted"):
         read_design(path)
 
 
@@ -452,34 +452,32 @@ def test_a_tree_that_cannot_be_read_is_refuted(tree, place):
 
 @pytest.mark.parametrize("options", [{}, {"level": 4.0}])
 def test_a_design_whose_proof_fails_is_never_returned(monkeypatch, options):
-    real = pipeline.prove
+    real = ladder.prove
 
     def refutes(made):
         return real(Certificate(**{**made.__dict__, "level": 0.0}).sealed())
 
-    monkeypatch.setattr(pipeline, "prove", refutes)
+    monkeypatch.setattr(ladder, "prove", refutes)
     with pytest.raises(Inconclusive, match="could be proved"):
         design(read_library("lipschitz_polynomial"), **options)
 
 
 @pytest.mark.parametrize("spoilt", [lambda v: -v, lambda v: v * 0, lambda v: v - 1e6])
 def test_rounding_that_spoils_the_gains_gives_no_design(monkeypatch, spoilt):
-    real = pipeline.shipped
-    monkeypatch.setattr(
-        pipeline, "shipped", lambda *a: {k: spoilt(v) if k == "L" else v for k, v in real(*a).items()}
-    )
+    real = ladder.shipped
+    monkeypatch.setattr(ladder, "shipped", lambda *a: {k: spoilt(v) if k == "L" else v for k, v in real(*a).items()})
     with pytest.raises(Inconclusive, match="could be proved"):
         design(read_library("lipschitz_polynomial"))
 
 
 def test_a_solver_that_lies_about_its_point_gives_no_design(monkeypatch):
-    real = pipeline.smallest_gain
+    real = ladder.smallest_gain
 
     def lies(posed, level):
         outcome = real(posed, level)
         return replace(outcome, values={**outcome.values, "Z": -outcome.values["Z"]})
 
-    monkeypatch.setattr(pipeline, "smallest_gain", lies)
+    monkeypatch.setattr(ladder, "smallest_gain", lies)
     with pytest.raises(Inconclusive, match="could be proved"):
         design(read_library("lipschitz_polynomial"))
 

@@ -85,6 +85,17 @@ class Problem:
     def _memo(self) -> dict[int, Any]:
         return {}
 
+    def pack(self, values: Mapping[str, np.ndarray]) -> np.ndarray:
+        """The vector of scalar unknowns (N,) of a point given as matrices; ones for an unknown without a value."""
+        v = np.ones(self.size)
+        for name, leaf in self.unknowns.items():
+            if name not in values:
+                continue
+            value = np.asarray(values[name], dtype=float).reshape(leaf.shape)
+            part = value[np.tril_indices(leaf.shape[0])] if leaf.args[1] else value.ravel()
+            v[self.offsets[name] : self.offsets[name] + part.size] = part
+        return v
+
     def unpack(self, v: np.ndarray) -> dict[str, np.ndarray]:
         """The unknowns as matrices, the fixed ones among them, from the vector of scalar unknowns (N,)."""
         values = {}

@@ -102,14 +102,23 @@ def scale(plant: Plant) -> Scaling:
     """Exponents of two for the states (from declared ranges where given) and for the healthy outputs."""
     weights = plant.letters()
     inputs = np.hstack([plant.E_w @ weights["W"], plant.G])
-    state = state_scaling(plant.A, inputs, plant.C, np.array(plant.signals.x.ranges))
+    C = plant.C / _sensor_units(plant)[:, None]
+    state = state_scaling(plant.A, inputs, C, np.array(plant.signals.x.ranges))
     if plant.G.size == 0 and inputs.size == 0:
-        state = state_scaling(plant.A, plant.B, plant.C, np.array(plant.signals.x.ranges))
+        state = state_scaling(plant.A, plant.B, C, np.array(plant.signals.x.ranges))
     N = annihilator(plant.F_f)
     rows = np.hstack([N @ plant.C * np.exp2(state.astype(float)), N @ plant.F_w @ weights["W"]])
     size = np.abs(rows).max(axis=1, initial=0.0)
     output = np.rint(np.log2(np.where(size > 0, size, 1.0))).astype(np.int64)
     return Scaling(state, np.clip(output, -60, 60))
+
+
+def _sensor_units(plant: Plant) -> Array:
+    """What each sensor is uncertain by: counted disturbances on it, else its noise; 1 where nothing is declared."""
+    counted = np.abs(plant.F_w @ plant.letters()["W"]).max(axis=1, initial=0.0)
+    noise = np.zeros(plant.p) if plant.noise is None else np.array(plant.noise.sd)
+    size = np.where(counted > 0, counted, noise)
+    return np.exp2(np.rint(np.log2(np.where(size > 0, size, 1.0))))
 
 
 def trace(expr: Expr) -> Expr:
@@ -139,16 +148,18 @@ def quietest(posed: Posed, level: float) -> Outcome:
     bound = sym([[S, th.readout], [__, th.lyapunov]]) > 0
     weights = (1.0, 1.0)
     best, best_value = Outcome("unknown"), np.inf
+    near = solve(problem, margin=INSIDE).values or None  # any point of this level knows the size of its multipliers
     for _ in range(ROUNDS):
         objective = κ * (1.0 / weights[0]) + trace(S) * (1.0 / weights[1])
-        outcome = solve(Problem([*problem.inequalities, noisy, bound], objective, problem.fixed), margin=INSIDE)
+        wanted = Problem([*problem.inequalities, noisy, bound], objective, problem.fixed)
+        outcome = solve(wanted, margin=INSIDE, near=near)
         if not outcome.solved:
             return best if best.solved else outcome
         pair = float(outcome.values["κ"][0, 0]), float(np.trace(outcome.values["S"]))
         value = pair[0] * pair[1]
         if value < best_value:
             improved = best_value / value if np.isfinite(best_value) else np.inf
-            best, best_value = outcome, value
+            best, best_value, near = outcome, value, outcome.values
         else:
             improved = 1.0
         if improved < 1.001 or min(pair) <= 0:
