@@ -6,7 +6,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-from faultrecon.diagnosis.existence import detectability_findings, fault_findings
+from faultrecon.diagnosis.existence import additive_sensor_findings, detectability_findings, fault_findings
 from faultrecon.diagnosis.limits import reconstruction_floor
 from faultrecon.finding import Finding
 from faultrecon.plant.plant import Plant
@@ -52,7 +52,7 @@ class Diagnosis:
         lines = [f"{self.plant}"]
         for label, d in [("all faults together", self.together), *((f.faults[0], f) for f in self.alone)]:
             answer = "can be reconstructed" if d.possible else "cannot be reconstructed"
-            floor = "" if d.floor is None else f"; no estimator gets below γ = {d.floor:.6g}"
+            floor = "" if d.floor is None else f"; no estimator can guarantee less than γ = {d.floor:.6g}"
             lines.append(f"  {label}: {answer}{floor if d.possible else ''}")
             lines += [f"    {f}" for f in d.findings]
         return "\n".join(lines)
@@ -70,7 +70,7 @@ def diagnose(plant: Plant) -> Diagnosis:
 
 
 def _of(plant: Plant) -> FaultDiagnosis:
-    findings = fault_findings(plant)
+    findings = additive_sensor_findings(plant) or fault_findings(plant)
     floor = None
     if not findings:
         findings = detectability_findings(plant)

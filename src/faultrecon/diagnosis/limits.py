@@ -11,10 +11,11 @@ from faultrecon.plant.plant import Plant
 
 
 def reconstruction_floor(plant: Plant) -> Peak | None:
-    """The gain from disturbances to reconstruction errors that no linear estimator passing the faults beats.
+    """The gain from disturbances to reconstruction errors below which no linear estimator passing the faults can go.
 
     Both sides in declared sizes.  None where no bound of this kind applies: no sensor fault, an actuator fault, or no
-    counted disturbance.  The nonlinear part is left out, which can only lower the bound.
+    counted disturbance.  For a nonlinear plant it bounds what can be *guaranteed* for every φ within the Lipschitz
+    bound, of which φ = 0 is one; for the φ of one plant alone a smaller gain may be possible.
     Source: [Khosrowjerdi 2011], re-derived; sup over frequency of |Y2 (I - Y1⁺ Y1)|.
     """
     if not plant.faults or any(f.site == "actuator" for f in plant.faults) or not plant.attenuated:

@@ -303,6 +303,15 @@ def _quadratic(m: Rows, v: Sequence[int]) -> int:
     return sum(v[i] * v[j] * m[i][j] for i in range(len(v)) for j in range(len(v)))
 
 
+LONGEST = 100_000
+"""Bits of an integer in a statement; a product of ten float matrices has about a thousand."""
+
+
+def largest_bits(a: Dyadic) -> int:
+    """Length of the longest integer, and of the common exponent, in bits."""
+    return max((abs(v).bit_length() for row in integers(a) for v in row), default=0) + abs(a.exponent)
+
+
 def letters_from(data: Mapping[str, Dyadic], lets: Mapping[str, Any], algebra: DyadicAlgebra) -> dict[str, Dyadic]:
     """All letters of a statement: the data, then each definition in the order given."""
     known = dict(data)
@@ -316,4 +325,6 @@ def letters_from(data: Mapping[str, Dyadic], lets: Mapping[str, Any], algebra: D
         if name in known:
             raise ExactError(f"the letter {name} is defined twice")
         known[name] = read_tree(tree, look, algebra)
+        if largest_bits(known[name]) > LONGEST:
+            raise ExactError(f"the numbers of {name} grow beyond {LONGEST} bits")
     return known

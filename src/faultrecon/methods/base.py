@@ -158,6 +158,20 @@ def lipschitz_premises(plant: Plant) -> list[Assumed]:
     return [Assumed("Lipschitz constant", f"{bound}: {how}", term.basis)]
 
 
+def lipschitz_scope(plant: Plant) -> str:
+    """What a guarantee for the continuous-time error system covers, and what it does not."""
+    text = "covers the continuous-time error system in exact arithmetic with these gains"
+    if plant.nonlinearity is not None:
+        text += f" for a Lipschitz constant up to {plant.nonlinearity.constant:.9g}"
+        if plant.nonlinearity.domain:
+            box = ", ".join(f"{k} in [{a:g}, {b:g}]" for k, (a, b) in plant.nonlinearity.domain.items())
+            text += f" while the plant stays in {box}"
+    text += "; w holds the disturbances that are declared to be attenuated"
+    if plant.noise is not None or len(plant.attenuated) < len(plant.disturbances):
+        text += ", and noise only as far as it is declared among them"
+    return text + "; does not cover sampling, rounding at run time, or a plant that differs from the model"
+
+
 class Method(ABC):
     """A published method.  Subclasses are found by scanning `faultrecon.methods` and the entry-point group."""
 

@@ -40,6 +40,7 @@ from faultrecon.methods.base import (
     deviations,
     letters,
     lipschitz_premises,
+    lipschitz_scope,
 )
 from faultrecon.numerics.annihilator import annihilator, left_inverse
 from faultrecon.plant.plant import Plant
@@ -47,7 +48,8 @@ from faultrecon.plant.plant import Plant
 Array = NDArray[np.float64]
 
 ROUNDING = 2.0**-40
-"""N F = 0 and F⁺ F = I hold exactly for faults on single sensors; for mixed ones to rounding, far below this."""
+"""N F = 0 and F⁺ F = I hold exactly for faults on single sensors; for mixed ones to rounding, far below this.  Both are
+stated in declared sizes, so that units cannot make the tolerance meaningless."""
 
 
 class LipschitzHinf(Method):
@@ -119,12 +121,12 @@ class LipschitzHinf(Method):
             lyapunov=P, drift=P@A - Z@C1, readout=H1, noise=Z@Ri@noise,
             identities=[
                 Identity("T T⁻¹ = I", T@Ti - I(n)), Identity("R R⁻¹ = I", R@Ri - I(p1)),
-                Identity("N F = 0: healthy outputs carry no fault", N@s["F_f"], ROUNDING),
-                Identity("F⁺ F = I: faults pass with gain one", Fp@s["F_f"] - I(q), ROUNDING),
+                Identity("N F = 0: healthy outputs carry no fault", Ri@N@s["F_f"]@Vi, ROUNDING),
+                Identity("F⁺ F = I: faults pass with gain one", s["V"]@(Fp@s["F_f"] - I(q))@Vi, ROUNDING),
             ],
             premises=lipschitz_premises(plant),
             claim=_claim(plant),
-            scope=_scope(plant),
+            scope=lipschitz_scope(plant),
             fixed={"K₁": 0.0},
         )
     # fmt: on
@@ -179,16 +181,6 @@ def _claim(plant: Plant) -> str:
         "∫|f - f̂|² dt ≤ γ² ∫|w|² dt + V(e(0)) on every horizon"
         f"{sizes}; the error e = x - x̂ tends to zero when w = 0, whatever the fault does"
     )
-
-
-def _scope(plant: Plant) -> str:
-    text = "covers the continuous-time error system in exact arithmetic with these gains"
-    if plant.nonlinearity is not None:
-        text += f" for a Lipschitz constant up to {plant.nonlinearity.constant:.9g}"
-        if plant.nonlinearity.domain:
-            box = ", ".join(f"{k} in [{a:g}, {b:g}]" for k, (a, b) in plant.nonlinearity.domain.items())
-            text += f" while the plant stays in {box}"
-    return text + "; does not cover sampling, rounding at run time, or a plant that differs from the model"
 
 
 _HARD_FLOOR = (

@@ -16,7 +16,17 @@ from faultrecon.diagnosis.existence import additive_sensor_findings, disturbance
 from faultrecon.finding import Finding
 from faultrecon.graph.observer import Observer
 from faultrecon.lmi.expr import I, __, given, let, sym, unknown
-from faultrecon.methods.base import Identity, Method, Paper, Scaling, Theorem, deviations, letters, lipschitz_premises
+from faultrecon.methods.base import (
+    Identity,
+    Method,
+    Paper,
+    Scaling,
+    Theorem,
+    deviations,
+    letters,
+    lipschitz_premises,
+    lipschitz_scope,
+)
 from faultrecon.numerics.annihilator import left_inverse
 from faultrecon.plant.plant import Plant
 
@@ -59,7 +69,7 @@ class OpenLoop(Method):
         """The bounded-real inequality of the error system with L = 0: the S-procedure term is that of (3.2)."""
         n, q, own = plant.n, len(plant.faults), letters(plant, scaling)
         s, T, Ti = own, own.T, own.Ti
-        Fp = given("F⁺", left_inverse(plant.F_f))
+        Fp, Vi = given("F⁺", left_inverse(plant.F_f)), given("V⁻¹", np.diag([f.size for f in plant.faults]))
         A,  Bφ = let("A", Ti@s["A"]@T),         let("B_φ", Ti@s["G"])
         Hφ, B  = let("H_φ", s["H"]@T),          let("B", Ti@s["E_w"]@s["W"])
         H1, H2 = let("H₁", -(s["V"]@Fp@s["C"]@T)), let("H₂", -(s["V"]@Fp@s["F_w"]@s["W"]))
@@ -74,10 +84,13 @@ class OpenLoop(Method):
             [lmi.tagged("bounded real"), (P > 0).tagged("P > 0"), (β > 0).tagged("β > 0")],
             minimise=γ2, gains={}, prove_with={γ2: γ*γ},
             lyapunov=P, drift=P@A, readout=H1, noise=P@given("no noise", np.zeros((n, 0))),
-            identities=[Identity("T T⁻¹ = I", T@Ti - I(n)), Identity("F⁺ F = I", Fp@s["F_f"] - I(q), 2.0**-40)],
+            identities=[
+                Identity("T T⁻¹ = I", T@Ti - I(n)),
+                Identity("F⁺ F = I: faults pass with gain one", s["V"]@(Fp@s["F_f"] - I(q))@Vi, 2.0**-40),
+            ],
             premises=lipschitz_premises(plant),
             claim="∫|f - f̂|² dt ≤ γ² ∫|w|² dt + V(e(0)) on every horizon, in declared sizes",
-            scope="covers the continuous-time error system in exact arithmetic; no feedback corrects the state",
+            scope=lipschitz_scope(plant),
         )
     # fmt: on
 

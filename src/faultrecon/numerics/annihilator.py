@@ -3,8 +3,9 @@
 
 from __future__ import annotations
 
+import operator
 from fractions import Fraction
-from math import frexp, gcd, lcm
+from math import gcd, lcm
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -24,8 +25,8 @@ def column_rank(F: ArrayLike) -> int:
 def annihilator(F: ArrayLike) -> Array:
     """Rows N (p - q, p) with N F = 0, for F (p, q) whose q columns that are not zero are independent.
 
-    When each fault sits on sensors of its own, the rows that pick the other sensors.  Otherwise a rational null space
-    whose entries are floats exactly, so that N F = 0 without rounding, if there is one; else an orthonormal one.
+    When each fault sits on a sensor of its own, the rows that pick the other sensors.  Otherwise a rational null space,
+    N F = 0 without rounding where its entries fit in 53 bits.
     """
     F = np.asarray(F, dtype=float)
     F = F[:, np.any(F != 0, axis=0)]  # a fault that reaches no output costs none
@@ -36,50 +37,56 @@ def annihilator(F: ArrayLike) -> Array:
     if len(touched) == q:
         return pick
     inner = _rational_null(F[touched])
-    if inner is None:
-        u = np.linalg.svd(F[touched])[0]
-        inner = u[:, q:].T
     mixed = np.zeros((inner.shape[0], p))
     mixed[:, touched] = inner
     return np.vstack([pick, mixed])
 
 
-def _rational_null(F: Array) -> Array | None:
-    """Rows N with N F = 0 exactly, or None when their entries need more than 53 bits."""
+def _rational_null(F: Array) -> Array:
+    """Rows N with N F = 0: exact where their entries fit in 53 bits, else each entry rounded once.
+
+    Rational elimination, not a singular value decomposition: every platform gets the same bits, and stored designs
+    refer to this basis.
+    """
     p, q = F.shape
     rows = [[Fraction(v) for v in row] + [Fraction(int(i == j)) for j in range(p)] for i, row in enumerate(F)]
     for j in range(q):
         pivot = max(range(j, p), key=lambda i: abs(rows[i][j]))
         if rows[pivot][j] == 0:
-            return None
+            continue  # a dependent column: the diagnosis has already said so
         rows[j], rows[pivot] = rows[pivot], rows[j]
         for i in range(j + 1, p):
             factor = rows[i][j] / rows[j][j]
             rows[i] = [a - factor * b for a, b in zip(rows[i], rows[j], strict=True)]
-    out = np.zeros((p - q, p))
-    for k, row in enumerate(rows[q:]):
-        scale = lcm(*(v.denominator for v in row[q:]))
-        ints = [int(v * scale) for v in row[q:]]
-        divisor = gcd(*ints)
-        ints = [v // divisor for v in ints]
-        try:
-            values = np.array([float(v) for v in ints])
-        except OverflowError:
-            return None
-        if any(int(v) != i for v, i in zip(values, ints, strict=True)):
-            return None
-        out[k] = np.ldexp(values, -frexp(np.abs(values).max())[1])
-    return out
+    return np.array([_row(row[q:]) for row in rows[q:]]).reshape(p - q, p)
+
+
+def _row(values: list[Fraction]) -> list[float]:
+    """A multiple of a rational row with entries near one: integers over a power of two where 53 bits hold them."""
+    whole = lcm(*(v.denominator for v in values))
+    ints = [int(v * whole) for v in values]
+    divisor = gcd(*ints)
+    ints = [v // divisor for v in ints]
+    top = max(abs(v) for v in ints)
+    if top < 2**53:
+        return [float(v) / 2.0 ** top.bit_length() for v in ints]
+    return [float(Fraction(v, top)) for v in ints]
 
 
 def left_inverse(F: ArrayLike) -> Array:
-    """F⁺ (q, p) with F⁺ F = I, for F of full column rank: reciprocals where each fault sits on one sensor alone."""
+    """F⁺ (q, p) with F⁺ F = I, for F of full column rank: (F'F)⁻¹ F' in rational arithmetic, entries rounded once."""
     F = np.asarray(F, dtype=float)
     p, q = F.shape
-    if np.all(np.count_nonzero(F, axis=0) == 1) and np.all(np.count_nonzero(F, axis=1) <= 1):
-        out = np.zeros((q, p))
-        for j in range(q):
-            i = int(np.flatnonzero(F[:, j])[0])
-            out[j, i] = 1.0 / F[i, j]
-        return out
-    return np.linalg.pinv(F)
+    columns = [[Fraction(v) for v in column] for column in F.T]
+    gram = [[sum(map(operator.mul, a, b), Fraction(0)) for b in columns] for a in columns]
+    rows = [g + column for g, column in zip(gram, columns, strict=True)]
+    for j in range(q):
+        pivot = max(range(j, q), key=lambda i: abs(rows[i][j]))
+        if rows[pivot][j] == 0:
+            raise np.linalg.LinAlgError("F has dependent columns")
+        rows[j], rows[pivot] = rows[pivot], rows[j]
+        rows[j] = [v / rows[j][j] for v in rows[j]]
+        for i in range(q):
+            if i != j and rows[i][j]:
+                rows[i] = [a - rows[i][j] * b for a, b in zip(rows[i], rows[j], strict=True)]
+    return np.array([[float(v) for v in row[q:]] for row in rows]).reshape(q, p)

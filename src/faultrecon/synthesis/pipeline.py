@@ -30,8 +30,9 @@ STEP_SHARE = 2.0
 """Default pole bound times sample time, inside the 2.785 at which classical Runge-Kutta turns unstable."""
 OWN_SHARE = 10.0
 """Default pole bound over the plant's fastest mode where no sample time is known: an observer need not be faster."""
-GROWTH = (1.0, 2.0, 4.0)
-"""By how much the back-off may grow before a design is given up as not certified."""
+GROWTH = (1.0, 2.0, 4.0, 20.0, 200.0, 2e3, 2e4, 2e5)
+"""By how much the back-off may grow before a design is given up as not certified: where a sensor is free of noise the
+optimum is nearly zero, and levels that gains of ordinary size can reach are many times that."""
 
 
 def design(
@@ -77,13 +78,18 @@ def design(
     say("optimum")
     free_posed = pose(chosen, plant, fix=fix, free=tuple(free))
     best = _level(free_posed.optimum(), free_posed)
-    posed, bounded, notes = _bounded(chosen, plant, fix, tuple(free), pole_bound, best)
+    posed, bounded, notes = _bounded(chosen, plant, fix, tuple(free), pole_bound, best, level)
     if level is not None and level <= bounded:
         raise Impossible(below_method(level, bounded, floor, posed))
     targets = [level] if level is not None else [(1.0 + backoff * growth) * bounded for growth in GROWTH]
     proven, rungs = climb(posed, targets, say)
     if proven is None:
         raise Inconclusive(no_proof(posed, rungs))
+    if proven.level > 2.0 * bounded and level is None:
+        notes = (
+            *notes,
+            f"the level is {proven.level / bounded:.3g} times the optimum: nearer to it no gains were proved",
+        )
     details = describe(
         plant,
         chosen.observer(plant, proven.gains),
@@ -149,6 +155,7 @@ def _bounded(
     free: tuple[str, ...],
     pole_bound: float | str | None,
     best: float,
+    level: float | None,
 ) -> tuple[Posed, float, tuple[str, ...]]:
     """The problem under its pole bound and its optimum; an automatic bound is doubled while it forbids a solution."""
     if pole_bound is not None and pole_bound != "auto":
@@ -162,7 +169,7 @@ def _bounded(
     for _ in range(8):
         posed = pose(chosen, plant, fix=fix, free=free, pole_bound=bound)
         outcome = posed.optimum()
-        if outcome.solved:
+        if outcome.solved and (level is None or level > _level(outcome, posed)):
             note = () if bound == wanted else (f"the pole bound was raised from {wanted:.4g} to {bound:.4g} rad/s",)
             return posed, _level(outcome, posed), note
         bound *= 2.0

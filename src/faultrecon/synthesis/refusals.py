@@ -15,7 +15,7 @@ from faultrecon.synthesis.levels import Posed
 def below_floor(level: float, floor: float) -> Finding:
     """Nobody can do it."""
     return Finding(
-        f"γ = {level:.6g} is below {floor:.6g}, the best any estimator can do with these sensors",
+        f"γ = {level:.6g} is below {floor:.6g}, the best any estimator can guarantee with these sensors",
         evidence={"level": level, "floor": floor},
         remedies=(f"ask for more than {floor:.6g}", "add a healthy sensor or use a quieter one"),
         see="Khosrowjerdi 2011, re-derived floor",

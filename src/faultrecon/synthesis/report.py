@@ -23,7 +23,7 @@ class DesignReport:
     """Numbers about a design, all measured on the gains that ship.
 
     poles in rad/s; largest_step in s (classical Runge-Kutta, linear part); noise_sd: standard deviation of each
-    reconstructed fault that the declared sensor noise alone causes, in the fault's unit (None: no noise declared).
+    reconstructed fault that the declared sensor noise alone causes in the linear part (None: no noise declared).
     """
 
     criterion: str

@@ -102,8 +102,11 @@ class Design:
         if d.noise_sd is not None:
             units = dict(zip(self.plant.signals.y.names, self.plant.signals.y.units, strict=True))
             for fault in self.plant.faults:
-                unit = units.get(next(iter(fault.on)), "")
-                lines.append(f"  noise in {fault.name}: {d.noise_sd[fault.name]:.4g} {unit} (standard deviation)")
+                sensor, coefficient = next(iter(fault.on.items()))
+                unit = f" {units[sensor]}" if coefficient == 1.0 and units.get(sensor) else ""
+                lines.append(
+                    f"  noise in {fault.name}: {d.noise_sd[fault.name]:.4g}{unit} (standard deviation, linear part)"
+                )
         lines += [f"  note: {note}" for note in d.notes]
         if found is None or self.certificate is None:
             lines.append("  certificate: none; nothing is claimed")
