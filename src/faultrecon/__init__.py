@@ -27,6 +27,10 @@ _DOOR = {
     "cite": "faultrecon.methods.registry",
     "verify": "faultrecon.certificate",
     "score": "faultrecon.simulation.metrics",
+    "discretised": "faultrecon.plant.derive",
+    "equilibrium": "faultrecon.plant.derive",
+    "linearise": "faultrecon.plant.derive",
+    "linearised": "faultrecon.plant.derive",
     "Plant": "faultrecon.plant.plant",
     "OperatingPoint": "faultrecon.plant.plant",
     "Signals": "faultrecon.plant.signals",
@@ -72,8 +76,12 @@ __all__ = [
     "cite",
     "design",
     "diagnose",
+    "discretised",
+    "equilibrium",
     "library",
     "library_names",
+    "linearise",
+    "linearised",
     "list_methods",
     "load",
     "optimum",
@@ -96,6 +104,7 @@ if TYPE_CHECKING:
     from faultrecon.io.logs import Log, read_log, write_log
     from faultrecon.io.playback import reconstruct, replay
     from faultrecon.methods.registry import cite, list_methods
+    from faultrecon.plant.derive import discretised, equilibrium, linearise, linearised
     from faultrecon.plant.fault import Disturbance, FaultChannel
     from faultrecon.plant.lipschitz import Lipschitz
     from faultrecon.plant.plant import OperatingPoint, Plant

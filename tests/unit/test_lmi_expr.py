@@ -110,7 +110,8 @@ def test_zero_takes_the_shape_of_its_neighbour():
 
 def test_two_transposes_and_two_signs_cancel():
     assert B.T.T is B
-    assert -(-B) is B
+    negative = -B
+    assert -negative is B
 
 
 def test_an_expression_prints_in_the_papers_letters():

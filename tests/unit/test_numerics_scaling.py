@@ -68,7 +68,8 @@ def test_a_triangular_chain_does_not_drift_without_bound() -> None:
     n = 12
     A = np.triu(np.ones((n, n)))
     e = state_scaling(A, np.zeros((n, 0)), np.zeros((0, n)))
-    # Nothing links the first state back to the last: plain balancing would drive the ends apart for ever; 2^-3 a link is enough.
+    # Nothing links the first state back to the last: plain balancing would drive the ends apart
+    # for ever; 2^-3 a link is enough.
     assert np.ptp(e) <= 3 * (n - 1)
 
 

@@ -21,7 +21,9 @@ app = typer.Typer(
 )
 
 Json = Annotated[bool, typer.Option("--json", help="Print the answer as JSON.")]
-PlantName = Annotated[str, typer.Argument(metavar="PLANT", help="A plant file (.toml) or the name of a library plant.")]
+PlantName = Annotated[
+    str, typer.Argument(metavar="PLANT", help="A plant file (.toml, .mat) or the name of a library plant.")
+]
 Faults = Annotated[
     Optional[list[str]],  # noqa: UP045 - typer reads the annotation at run time
     typer.Option("--fault", help="Reconstruct only this fault; repeat for several. All by default."),
@@ -37,10 +39,11 @@ def run_app() -> None:
 def _plant(name: str) -> Any:
     from faultrecon.finding import InputError, did_you_mean
     from faultrecon.io.library import library_names, read_library
+    from faultrecon.io.matfile import read_mat
     from faultrecon.io.plantfile import read_plant
 
     if name.endswith(".toml") or Path(name).exists():
-        return read_plant(name)
+        return read_mat(name) if name.lower().endswith(".mat") else read_plant(name)
     if name not in library_names():
         raise InputError(
             f"{name}: is neither a plant file nor a library plant", why=did_you_mean(name, library_names())

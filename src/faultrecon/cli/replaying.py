@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -47,13 +48,13 @@ def _check_targets(log: str, out: Path | None, figure: Path | None) -> None:
     """Unsuitable places are refused before the work, not after it; a recording is never written over."""
     if out is not None:
         name_extension(str(out))
-        if out.exists() and Path(log).exists() and out.samefile(log):
+        if os.path.exists(out) and os.path.exists(log) and os.path.samefile(out, log):
             raise InputError(f"{out}: is the recording itself", remedies=("write to another file",))
     if figure is not None and figure.suffix.lower() not in FIGURES:
         raise InputError(f"{figure}: unknown kind of figure", remedies=(f"use {', '.join(FIGURES)}",))
     for path in (p for p in (out, figure) if p is not None):
-        if path.is_dir() or not path.parent.is_dir():
-            why = "it is a folder" if path.is_dir() else f"the folder {path.parent} does not exist"
+        if os.path.isdir(path) or not os.path.isdir(path.parent):
+            why = "it is a folder" if os.path.isdir(path) else f"the folder {path.parent} does not exist"
             raise InputError(f"cannot write {path}", why=why)
 
 

@@ -6,7 +6,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-from faultrecon.diagnosis.existence import additive_sensor_findings, detectability_findings, fault_findings
+from faultrecon.diagnosis.existence import (
+    additive_sensor_findings,
+    detectability_findings,
+    disturbance_findings,
+    fault_findings,
+)
 from faultrecon.diagnosis.limits import reconstruction_floor
 from faultrecon.finding import Finding
 from faultrecon.plant.plant import Plant
@@ -70,7 +75,7 @@ def diagnose(plant: Plant) -> Diagnosis:
 
 
 def _of(plant: Plant) -> FaultDiagnosis:
-    findings = additive_sensor_findings(plant) or fault_findings(plant)
+    findings = additive_sensor_findings(plant) or fault_findings(plant) or disturbance_findings(plant)
     floor = None
     if not findings:
         findings = detectability_findings(plant)

@@ -30,7 +30,10 @@ def fault_findings(plant: Plant) -> list[Finding]:
             f"the fault matrix F has rank {rank} for {len(sensor)} sensor faults",
             why=f"{' and '.join(names)} move the measurements in one direction, so their sizes cannot be told apart",
             evidence={"rank": rank, "faults": len(sensor), "sensors": plant.p},
-            remedies=("reconstruct one of them at a time (faults=[...])", "add a sensor that only one of them reaches"),
+            remedies=(
+                "reconstruct one of them at a time (faults=[...] or --fault)",
+                "add a sensor that only one of them reaches",
+            ),
             see="Khosrowjerdi 2011, (2.2): F of full column rank",
         )
     ]
@@ -125,7 +128,7 @@ def _undetectable(plant: Plant, mode: Mode, healthy: int) -> Finding:
         evidence={"mode": [mode.value.real, mode.value.imag], "states": states},
         remedies=(
             f"add a healthy sensor that reads {states[0]}",
-            "declare fewer faults at a time (faults=[...])",
+            "declare fewer faults at a time (faults=[...] or --fault)",
         ),
         see="assumption (A, C1) detectable, Khosrowjerdi 2011, section 2",
     )

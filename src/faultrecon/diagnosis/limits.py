@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 
 from faultrecon.numerics.annihilator import annihilator, left_inverse
@@ -10,6 +12,7 @@ from faultrecon.numerics.hinf import Peak, estimator_floor
 from faultrecon.plant.plant import Plant
 
 
+@lru_cache(maxsize=16)
 def reconstruction_floor(plant: Plant) -> Peak | None:
     """The gain from disturbances to reconstruction errors below which no linear estimator passing the faults can go.
 

@@ -48,8 +48,8 @@ def target(path: str | os.PathLike[str]) -> Path:
     file = Path(path)
     if file.suffix.lower() != ".json":
         raise InputError(f"{file}: the extension is '{file.suffix}'", remedies=("a design file ends in .json",))
-    if file.is_dir() or not file.parent.is_dir():
-        why = "it is a folder" if file.is_dir() else f"the folder {file.parent} does not exist"
+    if os.path.isdir(file) or not os.path.isdir(file.parent):  # pathlib's is_dir raises on a name that is too long
+        why = "it is a folder" if os.path.isdir(file) else f"the folder {file.parent} does not exist"
         raise InputError(f"cannot write {file}", why=why)
     return file
 
@@ -110,8 +110,8 @@ def _demand_same(own: Plant, plant: Plant) -> None:
         )
 
 
-ORDER = ("signals", "names", "matrices", "shape", "A", "B", "C", "D")
-"""Parts of a plant in which a difference explains the others."""
+ORDER = ("signals", "names", "shape", "faults", "disturbances", "nonlinearity", "known", "noise", "A", "B", "C", "D")
+"""Parts of a plant that people write, before those that follow from them."""
 
 
 def _parts(error: InputError) -> dict[str, Any]:

@@ -9,6 +9,7 @@ from pathlib import Path
 from faultrecon.finding import InputError
 from faultrecon.io.designfile import read_design, write_design
 from faultrecon.io.library import read_library
+from faultrecon.io.matfile import read_mat, write_mat
 from faultrecon.io.plantfile import read_plant
 from faultrecon.io.plantwrite import write_plant
 from faultrecon.plant.plant import Plant
@@ -16,7 +17,7 @@ from faultrecon.synthesis.result import Design
 
 
 def load(path: str | os.PathLike[str], *, plant: Plant | None = None) -> Plant | Design:
-    """A plant from a .toml file or a design from a .json file.
+    """A plant from a .toml or .mat file, or a design from a .json file.
 
     plant: for a design, the plant it has to belong to.  A design's certificate is proved again before it is returned.
     Raises InputError with file, place, value and remedy.
@@ -24,22 +25,28 @@ def load(path: str | os.PathLike[str], *, plant: Plant | None = None) -> Plant |
     kind = Path(path).suffix.lower()
     if kind == ".toml":
         return read_plant(path)
+    if kind == ".mat":
+        return read_mat(path)
     if kind == ".json":
         return read_design(path, plant)
-    raise InputError(f"{os.fspath(path)}: unknown kind of file", remedies=("plants are .toml, designs are .json",))
+    raise InputError(
+        f"{os.fspath(path)}: unknown kind of file", remedies=("plants are .toml or .mat, designs are .json",)
+    )
 
 
 def save(thing: Plant | Design, path: str | os.PathLike[str]) -> None:
-    """Write a plant as .toml or a design as .json, whole or not at all.  A refuted design is not written."""
+    """Write a plant as .toml or .mat, or a design as .json, whole or not at all.  A refuted design is not written."""
     kind = Path(path).suffix.lower()
     if isinstance(thing, Plant) and kind == ".toml":
         write_plant(thing, path)
+    elif isinstance(thing, Plant) and kind == ".mat":
+        write_mat(thing, path)
     elif isinstance(thing, Design) and kind == ".json":
         write_design(thing, path)
     else:
         raise InputError(
             f"{os.fspath(path)}: cannot hold a {type(thing).__name__}",
-            remedies=("save a Plant as .toml and a Design as .json",),
+            remedies=("save a Plant as .toml or .mat and a Design as .json",),
         )
 
 

@@ -46,12 +46,28 @@ class Problem:
     @cached_property
     def unknowns(self) -> dict[str, Expr]:
         """The unknowns that are free, by name, in a fixed order."""
+        return {name: leaf for name, leaf in self._letters.items() if name not in self.held}
+
+    @cached_property
+    def held(self) -> dict[str, np.ndarray]:
+        """The unknowns that are held fixed, as matrices.  Raises on a wrong name, a wrong shape, a value not finite."""
+        found = self._letters
+        held: dict[str, np.ndarray] = {}
+        for name, given in (self.fixed or {}).items():
+            if name not in found:
+                raise InputError(f"{name} is held fixed", why=f"the unknowns are {', '.join(found)}")
+            value = np.asarray(given, dtype=float)
+            if value.ndim and value.shape != found[name].shape:
+                raise ShapeError(f"{name} is held at a {value.shape} value", why=f"it is {found[name].shape}")
+            if not np.all(np.isfinite(value)):
+                raise InputError(f"{name} is held at a value that is not finite")
+            held[name] = np.broadcast_to(value, found[name].shape)
+        return held
+
+    @cached_property
+    def _letters(self) -> dict[str, Expr]:
         exprs = [i.expr for i in self.inequalities] + ([self.minimise] if self.minimise is not None else [])
-        found = leaves(exprs, "unknown")
-        strange = set(self.fixed or {}) - set(found)
-        if strange:
-            raise InputError(f"{sorted(strange)[0]} is held fixed", why=f"the unknowns are {', '.join(found)}")
-        return {name: leaf for name, leaf in found.items() if name not in (self.fixed or {})}
+        return leaves(exprs, "unknown")
 
     @cached_property
     def offsets(self) -> dict[str, int]:
@@ -102,11 +118,7 @@ class Problem:
         for name, leaf in self.unknowns.items():
             part = v[self.offsets[name] : self.offsets[name] + freedom(leaf)]
             values[name] = (_pattern(leaf) @ part).reshape(leaf.shape)
-        exprs = [i.expr for i in self.inequalities] + ([self.minimise] if self.minimise is not None else [])
-        found = leaves(exprs, "unknown")
-        for name, value in (self.fixed or {}).items():
-            values[name] = np.broadcast_to(np.asarray(value, dtype=float), found[name].shape).copy()
-        return values
+        return values | {name: value.copy() for name, value in self.held.items()}
 
 
 def freedom(leaf: Expr) -> int:
@@ -138,14 +150,9 @@ class AffineAlgebra:
     def leaf(self, node: Expr) -> Form:
         if node.op == "given":
             return Form(node.args[1], None)
-        fixed = self.problem.fixed or {}
-        if node.name in fixed:
-            value = np.asarray(fixed[node.name], dtype=float)
-            if value.ndim and value.shape != node.shape:
-                raise ShapeError(f"{node.name} is held at a {value.shape} value", why=f"it is {node.shape}")
-            if not np.all(np.isfinite(value)):
-                raise InputError(f"{node.name} is held at a value that is not finite")
-            return Form(np.broadcast_to(value, node.shape), None)
+        held = self.problem.held
+        if node.name in held:
+            return Form(held[node.name], None)
         from scipy import sparse
 
         local = _pattern(node).tocoo()

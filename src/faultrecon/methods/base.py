@@ -79,6 +79,9 @@ class Assumed:
 class Theorem:
     """A theorem as a semidefinite program, and how to prove it for the gains that ship.
 
+    filter: the arguments of `numerics.level.optimal_level`, when the theorem is that one inequality in P, L and β.
+    unit: what γ is multiplied by inside the program, so that it is near one there.
+
     minimise: (1, 1) expression of the squared level.  gains: unknown that ships -> its formula.  prove_with: unknown
     of the program -> its expression in the gains that ship, substituted before the proof.  lyapunov P, drift P (A - L C1),
     readout H1 and noise (P L times sensor noise, one column per unit white source) serve the second criterion.
@@ -98,32 +101,37 @@ class Theorem:
     identities: Sequence[Identity] = ()
     premises: Sequence[Assumed] = ()
     fixed: Mapping[str, Any] = field(default_factory=dict)
+    filter: Mapping[str, Expr] | None = None
+    unit: float = 1.0
 
 
 @dataclass(frozen=True)
 class Scaling:
-    """Units in which the numbers are near one: exponents of two per state (n,) and per healthy output (p1,)."""
+    """Units in which the numbers are near one: exponents of two per state (n,), per healthy output (p1,), of the error."""
 
     state: NDArray[np.int64]
     output: NDArray[np.int64]
+    error: int = 0
 
 
 @dataclass(frozen=True, eq=False)
 class Letters:
-    """The plant's matrices as letters of a statement, and its state in scaled units x = T x_s."""
+    """The plant's matrices as letters of a statement; scaled units of states x = T x_s, healthy outputs, error U e_f."""
 
     plant: Plant
     T: Expr
     Ti: Expr
     R: Expr
     Ri: Expr
+    U: Expr
+    Ui: Expr
 
     def __getitem__(self, name: str) -> Expr:
         return given(f"plant.{name}", self.plant.letters()[name])
 
 
 def letters(plant: Plant, scaling: Scaling) -> Letters:
-    """The plant's letters beside the scaling of its states (T) and of its healthy outputs (R)."""
+    """The plant's letters beside the scaling of its states (T), healthy outputs (R) and reconstruction error (U)."""
     t, r = np.exp2(scaling.state.astype(float)), np.exp2(scaling.output.astype(float))
     return Letters(
         plant,
@@ -131,6 +139,8 @@ def letters(plant: Plant, scaling: Scaling) -> Letters:
         given("T⁻¹", np.diag(1 / t)),
         given("R", np.diag(r).reshape(len(r), len(r))),
         given("R⁻¹", np.diag(1 / r).reshape(len(r), len(r))),
+        given("U", 2.0**scaling.error),
+        given("U⁻¹", 2.0**-scaling.error),
     )
 
 

@@ -10,6 +10,7 @@ Mathematical Problems in Engineering, 2011, 146038.  From the plant's letters to
     B, E         T⁻¹ E_w W, F_w W          E_w, F_w, W        w in units of its declared sizes
     C1, E1       R⁻¹ N C T, ...            C, N F_f = 0       healthy outputs
     C2, E2, F2   V F⁺ C T, ..., I          F⁺ F_f = I, V      faulty outputs, f in units of its declared sizes
+    e_f, γ       U e_f, U γ                                   a power of two that brings γ near one
 
 The fault never enters the error dynamics: healthy outputs drive the observer, faulty ones only read the fault.
 """
@@ -76,7 +77,7 @@ class LipschitzHinf(Method):
                 Finding(
                     f"all {plant.p} sensors are declared faulty",
                     why="no healthy output is left to drive the observer, so L does not exist",
-                    remedies=("declare fewer faults at a time (faults=[...])", "use the baseline open-loop"),
+                    remedies=("declare fewer faults at a time (faults=[...] or --fault)", "use the baseline open-loop"),
                     see="Khosrowjerdi 2011, (2.4): p > q",
                 )
             ]
@@ -91,6 +92,7 @@ class LipschitzHinf(Method):
         """Theorem 3.1: the block matrix (3.1), (3.2) with its H'H terms unfolded so that K₁ may be unknown."""
         n, q = plant.n, len(plant.faults)
         s, T, Ti, R, Ri = (own := letters(plant, scaling)), own.T, own.Ti, own.R, own.Ri
+        U, Ui = own.U, own.Ui
         N, Fp = given("N", annihilator(plant.F_f)), given("F⁺", left_inverse(plant.F_f))
         p1, Vi = N.shape[0], given("V⁻¹", np.diag([f.size for f in plant.faults]))
 
@@ -103,7 +105,7 @@ class LipschitzHinf(Method):
         P,  Z  = unknown("P", n, n, symmetric=True), unknown("Z", n, p1)
         β,  γ2 = unknown("β"), unknown("γ²")
         K1     = unknown("K₁", q, p1)
-        H1, H2 = let("H₁", -(K1@C1 + C2)), let("H₂", -(K1@E1 + E2))                                      # (2.14)
+        H1, H2 = let("H₁", -U*(K1@C1 + C2)), let("H₂", -U*(K1@E1 + E2))                                  # (2.14)
         Ω      = let("Ω", A.T@P + P@A - C1.T@Z.T - Z@C1 + β*α**2*(Hφ.T@Hφ))                              # (3.2)
         lmi_3_1 = sym([[ Ω ,  P@Bφ            , P@B - Z@E1        ,  H1.T ],
                        [ __, -β*I(Bφ.shape[1]), 0                 ,  0    ],
@@ -111,23 +113,26 @@ class LipschitzHinf(Method):
                        [ __,  __              , __                , -I(q) ]]) < 0                         # (3.1)
 
         L, K1_ships, γ = unknown("L", n, p1), unknown("K1", q, p1), unknown("γ")
+        also = self.also(P, Ti, α, n)
         noise = given("noise", _noise_columns(plant, np.asarray(N.args[1])))
         return Theorem(
             "3.1",
-            [lmi_3_1.tagged("(3.1)"), (P > 0).tagged("P > 0"), (β > 0).tagged("β > 0"), *self.also(P, Ti, α, n)],
+            [lmi_3_1.tagged("(3.1)"), (P > 0).tagged("P > 0"), (β > 0).tagged("β > 0"), *also],
             minimise=γ2,
             gains={L: T@P.inv()@Z@Ri, K1_ships: Vi@K1@Ri},                                                 # (3.3)
-            prove_with={Z: P@Ti@L@R, K1: s["V"]@K1_ships@R, γ2: γ*γ},
+            prove_with={Z: P@Ti@L@R, K1: s["V"]@K1_ships@R, γ2: (U*γ)**2},
             lyapunov=P, drift=P@A - Z@C1, readout=H1, noise=Z@Ri@noise,
             identities=[
                 Identity("T T⁻¹ = I", T@Ti - I(n)), Identity("R R⁻¹ = I", R@Ri - I(p1)),
+                Identity("U U⁻¹ = 1", U*Ui - I(1)),
                 Identity("N F = 0: healthy outputs carry no fault", Ri@N@s["F_f"]@Vi, ROUNDING),
                 Identity("F⁺ F = I: faults pass with gain one", s["V"]@(Fp@s["F_f"] - I(q))@Vi, ROUNDING),
             ],
             premises=lipschitz_premises(plant),
             claim=_claim(plant),
             scope=lipschitz_scope(plant),
-            fixed={"K₁": 0.0},
+            fixed={"K₁": 0.0}, unit=2.0**scaling.error,
+            filter=None if also else {"A": A, "Bphi": Bφ, "B": B, "C1": C1, "E1": E1, "H1": H1, "H2": H2, "G": Hφ, "alpha": α},
         )
     # fmt: on
 

@@ -68,11 +68,11 @@ class OpenLoop(Method):
     def theorem(self, plant: Plant, scaling: Scaling) -> Theorem:
         """The bounded-real inequality of the error system with L = 0: the S-procedure term is that of (3.2)."""
         n, q, own = plant.n, len(plant.faults), letters(plant, scaling)
-        s, T, Ti = own, own.T, own.Ti
+        s, T, Ti, U, Ui = own, own.T, own.Ti, own.U, own.Ui
         Fp, Vi = given("F⁺", left_inverse(plant.F_f)), given("V⁻¹", np.diag([f.size for f in plant.faults]))
         A,  Bφ = let("A", Ti@s["A"]@T),         let("B_φ", Ti@s["G"])
         Hφ, B  = let("H_φ", s["H"]@T),          let("B", Ti@s["E_w"]@s["W"])
-        H1, H2 = let("H₁", -(s["V"]@Fp@s["C"]@T)), let("H₂", -(s["V"]@Fp@s["F_w"]@s["W"]))
+        H1, H2 = let("H₁", -U*(s["V"]@Fp@s["C"]@T)), let("H₂", -U*(s["V"]@Fp@s["F_w"]@s["W"]))
         α      = s["α"]
         P, β, γ2, γ = unknown("P", n, n, symmetric=True), unknown("β"), unknown("γ²"), unknown("γ")
         lmi = sym([[ A.T@P + P@A + β*α**2*(Hφ.T@Hφ), P@Bφ            ,  P@B               ,  H1.T ],
@@ -82,10 +82,10 @@ class OpenLoop(Method):
         return Theorem(
             "bounded real, L = 0",
             [lmi.tagged("bounded real"), (P > 0).tagged("P > 0"), (β > 0).tagged("β > 0")],
-            minimise=γ2, gains={}, prove_with={γ2: γ*γ},
+            minimise=γ2, gains={}, prove_with={γ2: (U*γ)**2}, unit=2.0**scaling.error,
             lyapunov=P, drift=P@A, readout=H1, noise=P@given("no noise", np.zeros((n, 0))),
             identities=[
-                Identity("T T⁻¹ = I", T@Ti - I(n)),
+                Identity("T T⁻¹ = I", T@Ti - I(n)), Identity("U U⁻¹ = 1", U*Ui - I(1)),
                 Identity("F⁺ F = I: faults pass with gain one", s["V"]@(Fp@s["F_f"] - I(q))@Vi, 2.0**-40),
             ],
             premises=lipschitz_premises(plant),

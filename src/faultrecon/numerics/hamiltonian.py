@@ -20,7 +20,11 @@ Array = NDArray[Any]
 
 AXIS_TOLERANCE = 1e-11
 """Relative to the largest eigenvalue: eigenvalues nearer to the imaginary axis than this belong to it.  Counting n
-stable eigenvalues is not enough: a pair on the axis, split by rounding, passes that count and a level too small with it."""
+stable eigenvalues is not enough: a pair on the axis, split by rounding, passes that count at a level too small."""
+
+
+POSITIVE = 1e-11
+"""A sine of twice the angle of X above minus this counts as not negative, H being of moderate size."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,6 +40,11 @@ class StableSubspace:
     unit: float
     rounding: float
 
+    @property
+    def slack(self) -> float:
+        """How far below zero rounding may put a sine that is zero."""
+        return max(POSITIVE, 10 * self.rounding)
+
 
 def stable_subspace(F: Array, Q: Array, S: Array) -> StableSubspace | Array:
     """The stable subspace of [F, Q; -S, -F'], or the frequencies w >= 0 of its eigenvalues jw when there are some.
@@ -43,7 +52,7 @@ def stable_subspace(F: Array, Q: Array, S: Array) -> StableSubspace | Array:
     F, Q, S: (n, n), Q and S symmetric.  An empty array means that no clean split was reached although no eigenvalue was
     found on the axis (the reordering failed, or the count of stable eigenvalues is not n).
     """
-    from scipy.linalg import LinAlgError, lapack, schur
+    from scipy.linalg import LinAlgError, get_lapack_funcs, schur
 
     n = F.shape[0]
     if not (np.isfinite(F).all() and np.isfinite(Q).all() and np.isfinite(S).all()):
@@ -64,7 +73,8 @@ def stable_subspace(F: Array, Q: Array, S: Array) -> StableSubspace | Array:
     stable = real < 0
     if int(stable.sum()) != n:
         return np.zeros(0)
-    T, U, _, _, _, _, _, info = lapack.dtrsen(stable.astype(np.int32), T, U, job=b"N")
+    (trsen,) = get_lapack_funcs(("trsen",), (T,))  # without SciPy's Python callback per eigenvalue
+    T, U, _, _, _, _, _, info = trsen(stable.astype(np.int32), T, U, job=b"N")
     if info != 0:
         return np.zeros(0)
     return StableSubspace(U[:n, :n], U[n:, :n], T[:n, :n], unit, float(np.finfo(float).eps * np.linalg.norm(H)))

@@ -98,7 +98,7 @@ def estimator_floor(
     A, B, C1, E1, C2, E2 = (np.asarray(M, dtype=float) for M in (A, B, C1, E1, C2, E2))
     if B.shape[1] == 0 or C2.shape[0] == 0:
         return Peak(0.0, 0.0)
-    n, C, E = A.shape[0], np.vstack([C1, C2]), np.vstack([E1, E2])
+    C, E = np.vstack([C1, C2]), np.vstack([E1, E2])
     A, B, C = scale_states(A, B, C, state_scaling(A, B, C))
     C1, C2 = C[: C1.shape[0]], C[C1.shape[0] :]
 
@@ -107,30 +107,34 @@ def estimator_floor(
         return _unexplained(Y[:, : C1.shape[0]], Y[:, C1.shape[0] :], _sensitivity(A, w))
 
     def crossings(level: float) -> Array:
-        """Stationary points of |C2 x + E2 w|^2 - level^2 |w|^2 on the solutions that healthy outputs do not show."""
-        from scipy.linalg import LinAlgError, eigvals
-
-        (p1, q), m = (C1.shape[0], C2.shape[0]), B.shape[1]
-        Z = np.zeros
-        # fmt: off
-        M = np.block([                                      # unknowns x, lambda, w, mu, v with v = (C2 x + E2 w)/level
-            [A,          Z((n, n)),  B,                 Z((n, p1)),  Z((n, q))],
-            [Z((n, n)),  -A.T,       Z((n, m)),         C1.T,        C2.T],
-            [Z((m, n)),  -B.T,       -level * np.eye(m), E1.T,       E2.T],
-            [C1,         Z((p1, n)), E1,                Z((p1, p1)), Z((p1, q))],
-            [C2,         Z((q, n)),  E2,                Z((q, p1)),  -level * np.eye(q)],
-        ])
-        # fmt: on
-        J = Z(M.shape)
-        J[: 2 * n, : 2 * n] = np.eye(2 * n)
-        try:
-            return _axis(eigvals(M, J))
-        except (LinAlgError, ValueError):
-            return np.zeros(0)
+        return _floor_crossings(A, B, C1, E1, C2, E2, level)
 
     poles = np.linalg.eigvals(A).astype(np.complex128)
     zeros = invariant_zeros(A, B, C1, E1)
     return _climb(gain, crossings, _grid(np.concatenate([poles, zeros]), 40), rtol)
+
+
+def _floor_crossings(A: Array, B: Array, C1: Array, E1: Array, C2: Array, E2: Array, level: float) -> Array:
+    """Stationary points of |C2 x + E2 w|^2 - level^2 |w|^2 on the solutions that healthy outputs do not show."""
+    from scipy.linalg import LinAlgError, eigvals
+
+    n, m, p1, q = *B.shape, C1.shape[0], C2.shape[0]
+    Z = np.zeros
+    # fmt: off
+    M = np.block([                                      # unknowns x, lambda, w, mu, v with v = (C2 x + E2 w)/level
+        [A,          Z((n, n)),  B,                 Z((n, p1)),  Z((n, q))],
+        [Z((n, n)),  -A.T,       Z((n, m)),         C1.T,        C2.T],
+        [Z((m, n)),  -B.T,       -level * np.eye(m), E1.T,       E2.T],
+        [C1,         Z((p1, n)), E1,                Z((p1, p1)), Z((p1, q))],
+        [C2,         Z((q, n)),  E2,                Z((q, p1)),  -level * np.eye(q)],
+    ])
+    # fmt: on
+    J = Z(M.shape)
+    J[: 2 * n, : 2 * n] = np.eye(2 * n)
+    try:
+        return _axis(eigvals(M, J))
+    except (LinAlgError, ValueError):
+        return np.zeros(0)
 
 
 def _resolvent(A: Array, B: Array, w: Array) -> Complex:

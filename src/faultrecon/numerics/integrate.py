@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -23,9 +24,10 @@ def reference_solution(
     rtol: float = 1e-10,
     atol: float = 1e-12,
 ) -> Array:
-    """The solution of x' = rhs(t, x) at every time of a grid: (len(t_grid), n), by DOP853 (Hairer, Norsett, Wanner 1993).
+    """The solution of x' = rhs(t, x) at every time of a grid: (len(t_grid), n).
 
-    t_grid: strictly increasing, x0 (n,) belongs to its first entry.  breakpoints: times at which rhs jumps or kinks
+    By DOP853 (Hairer, Norsett, Wanner 1993).  t_grid: strictly increasing, x0 (n,) belongs to its first entry.
+    breakpoints: times at which rhs jumps or kinks
     (a step, the end of a sample); the integration restarts there, so that no step straddles one.  On the piece that
     ends at a breakpoint rhs is evaluated just before it, on the next one at and after it.  Raises InputError for a bad
     grid, Inconclusive when the solution leaves the finite numbers or the integrator gives up.
@@ -34,11 +36,13 @@ def reference_solution(
     x = np.atleast_1d(np.asarray(x0, dtype=float))
     if t.ndim != 1 or t.size == 0 or not np.isfinite(t).all() or np.any(np.diff(t) <= 0):
         raise InputError("the time grid is not strictly increasing", remedies=("sort it and drop repeated times",))
+    if t.size == 1:
+        return x[None, :].copy()
     inner = sorted({float(s) for s in breakpoints if t[0] < s < t[-1]})
     edges = [float(t[0]), *inner, float(t[-1])]
     X = np.empty((t.size, x.size))
     X[0] = x
-    for left, right in zip(edges[:-1], edges[1:], strict=True):
+    for left, right in pairwise(edges):
         inside = (t > left) & (t <= right)
         values, x = _piece(rhs, x, left, right, t[inside], rtol, atol)
         X[inside] = values

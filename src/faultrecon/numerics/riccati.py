@@ -17,7 +17,8 @@ from numpy.typing import ArrayLike, NDArray
 from faultrecon.finding import Inconclusive
 from faultrecon.numerics.hamiltonian import StableSubspace, signs, stable_subspace
 from faultrecon.numerics.hinf import hinf_norm
-from faultrecon.numerics.level import POSITIVE, LevelSolution, full_row_rank, optimal_level
+from faultrecon.numerics.level import LevelSolution, full_row_rank, optimal_level
+from faultrecon.numerics.pencil import RANK_TOLERANCE, unobservable_subspace
 from faultrecon.numerics.scaling import scale_states, spectral_norm, state_scaling
 
 __all__ = ["FilterSolution", "LevelSolution", "central_gain", "filter_riccati", "full_row_rank", "optimal_level"]
@@ -82,6 +83,48 @@ def central_gain(
     Arguments as for `optimal_level`; beta is None only without a nonlinearity (m = 0 or alpha = 0).  The returned P
     satisfies the matrix inequality with Z = P L, up to its boundary.
     """
+    return filter_riccati(*_weighted(A, Bphi, B, C1, E1, H1, H2, G, alpha, beta, gamma))
+
+
+def strict_multiplier(
+    A: ArrayLike,
+    Bphi: ArrayLike,
+    B: ArrayLike,
+    C1: ArrayLike,
+    E1: ArrayLike,
+    H1: ArrayLike,
+    H2: ArrayLike,
+    G: ArrayLike,
+    alpha: float,
+    beta: float | None,
+    gamma: float,
+    L: ArrayLike,
+) -> Array | None:
+    """P > 0 that satisfies the matrix inequality strictly for a given gain, or None when none was found.
+
+    The Riccati equation of the closed loop with as much extra noise on every state as the level bears: the P of a
+    central gain solves its own equation, which is the boundary of the inequality.
+    """
+    A, B1, C1, D21, Cz, D11 = _weighted(A, Bphi, B, C1, E1, H1, H2, G, alpha, beta, gamma)
+    L = np.asarray(L, dtype=float)
+    closed, into = A - L @ C1, B1 - L @ D21
+    return _noisy_multiplier(np.ldexp(1.0, state_scaling(closed, into, Cz)), closed, into, Cz, D11)
+
+
+def _weighted(
+    A: Any,
+    Bphi: Any,
+    B: Any,
+    C1: Any,
+    E1: Any,
+    H1: Any,
+    H2: Any,
+    G: Any,
+    alpha: float,
+    beta: float | None,
+    gamma: float,
+) -> tuple[Array, Array, Array, Array, Array, Array]:
+    """A, B1, C1, D21, Cz, D11 of the level-1 filter problem at (beta, gamma)."""
     A, Bphi, B, C1, E1, H1, H2, G = (np.asarray(M, dtype=float) for M in (A, Bphi, B, C1, E1, H1, H2, G))
     if beta is None:
         Bphi, G, beta = Bphi[:, :0], G[:0], 1.0
@@ -91,7 +134,7 @@ def central_gain(
     Cz = np.vstack([H1, alpha * root * G])
     D11 = np.zeros((H1.shape[0] + k, m + B.shape[1]))
     D11[: H1.shape[0], m:] = H2 / gamma
-    return filter_riccati(A, B1, C1, D21, Cz, D11)
+    return A, B1, C1, D21, Cz, D11
 
 
 def _central(A: Array, B1: Array, C1: Array, D21: Array, Cz: Array, D11: Array) -> tuple[Array | None, Array | None]:
@@ -103,12 +146,15 @@ def _central(A: Array, B1: Array, C1: Array, D21: Array, Cz: Array, D11: Array) 
     W = np.linalg.inv(D21 @ S @ D21.T)
     Ct = C1 + D21 @ D11.T @ R @ Cz
     At = A + B1 @ D11.T @ R @ Cz - K @ W @ Ct
-    Th = B1 @ S @ B1.T - K @ W @ K.T
+    # Th = B1 S B1' - K W K' as a square, so that it is exactly zero where nothing is left to disturb the estimate.
+    F = np.linalg.cholesky(S)
+    unseen = B1 @ F @ np.linalg.qr((D21 @ F).T, mode="complete")[0][:, D21.shape[0] :]
+    Th = unseen @ unseen.T
     Ga = Cz.T @ R @ Cz - Ct.T @ W @ Ct
     if n == 0:
         return np.zeros((0, 0)), np.zeros((0, C1.shape[0]))
     found = stable_subspace(At.T, 0.5 * (Ga + Ga.T), 0.5 * (Th + Th.T))
-    if not isinstance(found, StableSubspace) or signs(found)[0][0] < -POSITIVE:
+    if not isinstance(found, StableSubspace) or signs(found)[0][0] < -found.slack:
         return None, None
     try:
         Q = found.unit * np.linalg.solve(found.U1.T, found.U2.T).T
@@ -120,13 +166,19 @@ def _central(A: Array, B1: Array, C1: Array, D21: Array, Cz: Array, D11: Array) 
 
 
 def _certificate(Q: Array, t: Array, A: Array, B: Array, C: Array, D: Array) -> Array | None:
-    """P > 0 for the bounded real inequality of the closed loop: Q^-1, or the inverse after adding noise to every state."""
-    if _definite(Q, t):
+    """P > 0 for the bounded real inequality of the closed loop: Q^-1, or that with noise added to every state."""
+    undisturbed = unobservable_subspace(A.T, B.T, RANK_TOLERANCE).shape[1] > 0
+    if not undisturbed and _definite(Q, t):
         return _inverse(Q, t)
+    return _noisy_multiplier(t, A, B, C, D)
+
+
+def _noisy_multiplier(t: Array, A: Array, B: Array, C: Array, D: Array) -> Array | None:
+    """P of the closed loop with noise on every state, in the units t."""
     none = np.zeros((0, A.shape[0]))
     a, b, c = A * (t[None, :] / t[:, None]), B / t[:, None], C * t[None, :]
-    size = max(spectral_norm(b), 1e-300)
-    for share in (1e-2, 1e-3, 1e-4, 1e-5, 1e-6):
+    size = max(spectral_norm(b), 1e-3 * spectral_norm(a))
+    for share in np.geomspace(1e-2, 1e-9, 8):  # the most that the margin bears gives the best conditioned P
         noisy = np.hstack([b, share * size * np.eye(A.shape[0])])
         wide = np.hstack([D, np.zeros((D.shape[0], A.shape[0]))])
         X, _ = _central(a, noisy, none, np.zeros((0, noisy.shape[1])), c, wide)

@@ -31,6 +31,7 @@ class FaultChannel:
     rate: float = math.inf
 
     def __post_init__(self) -> None:
+        _printable("fault", self.name)
         _positive(f"fault '{self.name}'", "size", self.size)
         if not self.rate > 0:
             raise InputError(f"fault '{self.name}' has rate {self.rate}", why="a rate bound is positive")
@@ -58,12 +59,18 @@ class Disturbance:
     size: float = 1.0
 
     def __post_init__(self) -> None:
+        _printable("disturbance", self.name)
         _positive(f"disturbance '{self.name}'", "size", self.size)
         if self.role not in ("attenuate", "decouple", "noise"):
             raise InputError(
                 f"disturbance '{self.name}' has role '{self.role}'", remedies=("use attenuate, decouple or noise",)
             )
         _coefficients(f"disturbance '{self.name}'", {**self.into, **self.on})
+
+
+def _printable(owner: str, name: str) -> None:
+    if not name.strip() or not name.isprintable():
+        raise InputError(f"{name!r} is no name of a {owner}", remedies=("use visible characters on one line",))
 
 
 def _positive(owner: str, key: str, value: float) -> None:

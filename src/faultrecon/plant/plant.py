@@ -160,7 +160,7 @@ class Plant:
         for name in names:
             if name not in by_name:
                 raise InputError(f"there is no fault '{name}'", why=did_you_mean(name, by_name))
-        return replace(self, faults=tuple(by_name[name] for name in names))
+        return replace(self, faults=tuple(by_name[name] for name in dict.fromkeys(names)))
 
     def reading_all_states(self) -> Plant:
         """The same plant with φ declared to read the whole state: the structure is given away."""
@@ -174,6 +174,34 @@ class Plant:
         phi = Graph.trace(lambda x, u, t: old.phi.symbolic(x[index], u, t), sizes)
         phi = replace(phi, inputs={"x": names, "u": self.signals.u.names, "t": ("t",)})
         return replace(self, nonlinearity=replace(old, reads=names, phi=phi))
+
+    # ------------------------------------------------------------ other people's systems
+
+    @staticmethod
+    def from_control(system: Any, **declared: Any) -> Plant:
+        """A plant from a python-control system; see `interop.plant_from_control`."""
+        from faultrecon.plant.interop import plant_from_control
+
+        return plant_from_control(system, **declared)
+
+    @staticmethod
+    def from_scipy(system: Any, **declared: Any) -> Plant:
+        """A plant from a scipy.signal system or (A, B, C, D[, dt]); see `interop.plant_from_scipy`."""
+        from faultrecon.plant.interop import plant_from_scipy
+
+        return plant_from_scipy(system, **declared)
+
+    def to_control(self, **options: Any) -> Any:
+        """A control.StateSpace; see `interop.plant_to_control`."""
+        from faultrecon.plant.interop import plant_to_control
+
+        return plant_to_control(self, **options)
+
+    def to_scipy(self, **options: Any) -> Any:
+        """A scipy.signal.StateSpace; see `interop.plant_to_scipy`."""
+        from faultrecon.plant.interop import plant_to_scipy
+
+        return plant_to_scipy(self, **options)
 
     # ------------------------------------------------------------ identity
 

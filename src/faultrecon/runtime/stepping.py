@@ -140,9 +140,9 @@ class Stepper:
 
         nz, k = self.B.shape
         s, sample = ca.SX.sym("s", nz + k), ca.SX.sym("sample", 1 + k)
-        v1 = self._keep_last(s[nz:], sample[1:])
+        v1 = self._keep_last(s[nz:, :], sample[1:, :])
         step = self.matrices(self.sample_time) if self.scheme == "zoh" else ()
-        z = self._substep(s[:nz], sample[0], *self._held(s[nz:], v1), self.sample_time, step)
+        z = self._substep(s[:nz, :], sample[0], *self._held(s[nz:, :], v1), self.sample_time, step)
         return ca.Function("regular", [s, sample], [ca.densify(ca.vertcat(z, _fill(self.after, z, v1)))])
 
     @cached_property
@@ -244,13 +244,13 @@ class Stepper:
         middle = 0.5 * (v0 + v1)
         return (middle, middle, middle) if self.hold == "midpoint" else (v0, middle, v1)
 
-    def _nonlinear(self, z: Any, v: Any, t: Any) -> Any:
+    def nonlinear(self, z: Any, v: Any, t: Any) -> Any:
         """φ and g at one instant, (r, 1); the arguments are absolute values."""
         import casadi as ca
 
         o, m = self.observer, self.observer.inputs
         filled = _fill(self.during, z, v)
-        u, y = filled[:m] + ca.DM(o.u0), filled[m:] + ca.DM(o.y0)
+        u, y = filled[:m, :] + ca.DM(o.u0), filled[m:, :] + ca.DM(o.y0)
         out = []
         if o.nonlinear is not None:
             term = o.nonlinear
@@ -262,7 +262,7 @@ class Stepper:
 
     def _slope(self, z: Any, v: Any, t: Any) -> Any:
         linear = _times(self.A, z) + _times(self.B, v)
-        return linear if self.observer.linear else linear + _times(self.N, self._nonlinear(z, v, t))
+        return linear if self.observer.linear else linear + _times(self.N, self.nonlinear(z, v, t))
 
     def _substep(self, z: Any, t: Any, v0: Any, vm: Any, v1: Any, h: Any, matrices: Sequence[Any]) -> Any:
         if self.scheme == "rk4":
@@ -277,9 +277,9 @@ class Stepper:
             linear = linear + _times(B1, v1)
         if self.observer.linear:
             return linear
-        n0 = self._nonlinear(z, v0, t)
+        n0 = self.nonlinear(z, v0, t)
         held = linear + _times(N0, n0)  # with n0 at both ends this is the exponential Euler step (ETD1)
-        n1 = self._nonlinear(held + _times(N1, n0), v1, t + h)
+        n1 = self.nonlinear(held + _times(N1, n0), v1, t + h)
         return held + _times(N1, n1)
 
 

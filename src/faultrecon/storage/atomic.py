@@ -27,10 +27,9 @@ def replacing(path: str | os.PathLike[str]) -> Iterator[Path]:
         raise InputError(f"cannot write {target}", why=str(error.strerror or error)) from error
     try:
         yield temporary
-        try:
-            os.replace(temporary, target)
-        except OSError as error:
-            raise InputError(f"cannot write {target}", why=str(error.strerror or error)) from error
+        os.replace(temporary, target)
+    except OSError as error:  # a full disk, a folder in the way, rights withdrawn
+        raise InputError(f"cannot write {target}", why=str(error.strerror or error)) from error
     finally:
         temporary.unlink(missing_ok=True)
 

@@ -101,8 +101,8 @@ def conforms(made: Certificate, theorem: Theorem) -> bool:
     return words and same and ships and alike and made.level > 0
 
 
-UNITS = ("T", "T⁻¹", "R", "R⁻¹")
-"""Letters of the scaling: any units serve, as long as the identities T T⁻¹ = I and R R⁻¹ = I hold."""
+UNITS = ("T", "T⁻¹", "R", "R⁻¹", "U", "U⁻¹")
+"""Letters of the scaling: any units serve, as long as T T⁻¹ = I, R R⁻¹ = I and U U⁻¹ = 1 hold."""
 
 
 def gains_from(made: Mapping[str, Any]) -> dict[str, Array]:

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from faultrecon.diagnosis.limits import reconstruction_floor
 from faultrecon.finding import InputError
 from faultrecon.lmi.expr import Expr, I, Inequality, __, as_expr, given, sym, unknown
 from faultrecon.lmi.problem import Problem
@@ -61,7 +62,7 @@ class Posed:
 
     def at_level(self, level: float) -> Problem:
         """The feasibility problem at a level."""
-        fixed = {**self.fixed, self.theorem.minimise.name: level**2}
+        fixed = {**self.fixed, self.theorem.minimise.name: (self.theorem.unit * level) ** 2}
         return Problem(self.inequalities(), None, fixed)
 
 
@@ -87,7 +88,9 @@ def pose(
             f"{theorem.minimise.name} cannot be held", why="it is what is minimised", remedies=("ask for a level",)
         )
     fixed = {k: v for k, v in theorem.fixed.items() if k not in released} | held
-    return Posed(method, plant, scaling, theorem, fixed, pole_bound)
+    posed = Posed(method, plant, scaling, theorem, fixed, pole_bound)
+    _ = posed.problem().held  # a wrong name, shape or value is refused here, whichever route is taken later
+    return posed
 
 
 ASCII = {"beta": "β", "gamma2": "γ²", "K1": "K₁"}
@@ -99,7 +102,10 @@ def letter(name: str) -> str:
 
 
 def scale(plant: Plant) -> Scaling:
-    """Exponents of two for the states (from declared ranges where given) and for the healthy outputs."""
+    """Exponents of two for the states (from declared ranges where given), the healthy outputs, and the error.
+
+    The error's unit brings the floor of the level near one: a program whose optimum is 1e-10 is solved by nobody.
+    """
     weights = plant.letters()
     inputs = np.hstack([plant.E_w @ weights["W"], plant.G])
     C = plant.C / _sensor_units(plant)[:, None]
@@ -110,7 +116,10 @@ def scale(plant: Plant) -> Scaling:
     rows = np.hstack([N @ plant.C * np.exp2(state.astype(float)), N @ plant.F_w @ weights["W"]])
     size = np.abs(rows).max(axis=1, initial=0.0)
     output = np.rint(np.log2(np.where(size > 0, size, 1.0))).astype(np.int64)
-    return Scaling(state, np.clip(output, -60, 60))
+    peak = reconstruction_floor(plant)
+    known = peak is not None and 0 < peak.value < np.inf
+    error = -round(np.log2(peak.value)) if known and peak is not None else 0
+    return Scaling(state, np.clip(output, -60, 60), int(np.clip(error, -200, 200)))
 
 
 def _sensor_units(plant: Plant) -> Array:

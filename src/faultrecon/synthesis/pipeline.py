@@ -6,6 +6,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -16,7 +17,9 @@ from faultrecon.finding import Impossible, Inconclusive, InputError
 from faultrecon.lmi.solve import Outcome
 from faultrecon.methods.base import Method
 from faultrecon.methods.registry import method as method_named
+from faultrecon.numerics.level import LevelSolution
 from faultrecon.plant.plant import Plant
+from faultrecon.synthesis import riccati_route
 from faultrecon.synthesis.ladder import climb
 from faultrecon.synthesis.levels import Posed, pose
 from faultrecon.synthesis.refusals import below_floor, below_method, no_answer, no_proof, no_solution
@@ -30,6 +33,10 @@ STEP_SHARE = 2.0
 """Default pole bound times sample time, inside the 2.785 at which classical Runge-Kutta turns unstable."""
 OWN_SHARE = 10.0
 """Default pole bound over the plant's fastest mode where no sample time is known: an observer need not be faster."""
+LARGEST_LEVEL = 1e60
+"""Its square, in any units the program may choose, is still a float."""
+AGREEMENT = 1e-4
+"""Relative difference of the two routes to an optimum that is worth a note; the solver is good to 1e-5 or better."""
 GROWTH = (1.0, 2.0, 4.0, 20.0, 200.0, 2e3, 2e4, 2e5)
 """By how much the back-off may grow before a design is given up as not certified: where a sensor is free of noise the
 optimum is nearly zero, and levels that gains of ordinary size can reach are many times that."""
@@ -76,13 +83,21 @@ def design(
     if level is not None and floor is not None and level < floor:
         raise Impossible(below_floor(level, floor))
     say("optimum")
-    free_posed = pose(chosen, plant, fix=fix, free=tuple(free))
-    best = _level(free_posed.optimum(), free_posed)
-    posed, bounded, notes = _bounded(chosen, plant, fix, tuple(free), pole_bound, best, level)
+    posed = pose(chosen, plant, fix=fix, free=tuple(free))
+    by_riccati = riccati_route.optimum(posed)
+    large = by_riccati is not None and plant.n >= riccati_route.LARGE
+    if large:
+        best = bounded = by_riccati.gamma
+        notes: tuple[str, ...] = ("a large plant: Riccati route, central gains, no pole bound",)
+    else:
+        best, notes = _checked_optimum(posed, by_riccati)
+        posed, bounded, more = _bounded(chosen, plant, fix, tuple(free), pole_bound, best, level)
+        notes += more
     if level is not None and level <= bounded:
         raise Impossible(below_method(level, bounded, floor, posed))
     targets = [level] if level is not None else [(1.0 + backoff * growth) * bounded for growth in GROWTH]
-    proven, rungs = climb(posed, targets, say)
+    central = partial(riccati_route.gains, posed, beta=by_riccati.beta, best=best) if large else None
+    proven, rungs = climb(posed, targets, say, central)
     if proven is None:
         raise Inconclusive(no_proof(posed, rungs))
     if proven.level > 2.0 * bounded and level is None:
@@ -136,13 +151,26 @@ def optimum(
 def _options(backoff: float, level: float | None) -> None:
     if not (math.isfinite(backoff) and backoff > 0):
         raise InputError(f"the back-off is {backoff}", why="the optimum itself is not attained; 0.05 is usual")
-    if level is not None and not (math.isfinite(level) and level > 0):
-        raise InputError(f"the level is {level}", why="γ is a positive number")
+    if level is not None and not 0 < level < LARGEST_LEVEL:
+        raise InputError(f"the level is {level}", why=f"γ is a positive number below {LARGEST_LEVEL:g}")
+
+
+def _checked_optimum(posed: Posed, by_riccati: LevelSolution | None) -> tuple[float, tuple[str, ...]]:
+    """The optimum by both routes where both apply: the Riccati value, and a note when the solver's differs."""
+    outcome = posed.optimum()
+    if by_riccati is None:
+        return _level(outcome, posed), ()
+    if not outcome.solved:
+        return by_riccati.gamma, (f"the optimum is by the Riccati route; the solver's word was '{outcome.solver}'",)
+    by_solver = _level(outcome, posed)
+    if abs(by_solver - by_riccati.gamma) > AGREEMENT * by_riccati.gamma:
+        return by_riccati.gamma, (f"two routes to the optimum disagree: {by_riccati.gamma:.9g} and {by_solver:.9g}",)
+    return by_riccati.gamma, ()
 
 
 def _level(outcome: Outcome, posed: Posed) -> float:
     if outcome.solved:
-        return math.sqrt(max(outcome.objective, 0.0))
+        return math.sqrt(max(outcome.objective, 0.0)) / posed.theorem.unit
     if outcome.status == "infeasible":
         raise Impossible(no_solution(posed, outcome))
     raise Inconclusive(no_answer(posed, outcome))

@@ -52,6 +52,8 @@ class DesignReport:
         """The report that `as_dict` wrote.  Raises InputError on damage."""
         try:
             step = stored["largest_step"]
+            for key in ("backoff", "fastest_pole", "slowest_pole", "seconds"):
+                float(stored[key])
             lists = {k: tuple(stored[k]) for k in ("attempts", "notes")}
             return DesignReport(**{**stored, **lists, "largest_step": np.inf if step is None else float(step)})
         except (KeyError, TypeError, ValueError) as error:

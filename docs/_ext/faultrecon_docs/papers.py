@@ -1,0 +1,303 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""A page per method, written from the method itself: what it says, what it assumes, its theorem, and its numbers.
+
+The inequality on the page is the expression that is solved and proved, so the page cannot say anything else.  What a
+docstring cannot hold, the story of a printed number that does not hold, is in `docs/papers/notes/<method>.md`.
+"""
+
+from __future__ import annotations
+
+import inspect
+import re
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+from faultrecon.advise.reproductions import Comparison, reproduce, reproducible
+from faultrecon.finding import FaultreconError, Impossible
+from faultrecon.io.library import library_names, read_library
+from faultrecon.lmi.typeset import definitions_latex, inequality_latex, latex, letter_latex
+from faultrecon.lmi.walk import leaves
+from faultrecon.methods.base import Method, Paper, Theorem
+from faultrecon.methods.registry import all_methods
+from faultrecon.plant.plant import Plant
+from faultrecon.synthesis.levels import scale
+from faultrecon.synthesis.pipeline import optimum
+from faultrecon_docs.text import code, code_block, folded, formula, formulas, number, page, paragraphs, prose, sentence, table
+
+Level = Callable[..., float]
+STATUS = {
+    "as_printed": "as printed",
+    "with_change": "with a change",
+    "not_as_printed": "not as printed",
+    "re_derived": "re-derived",
+}
+FURTHER = "All numbers of the paper, computed again"
+
+
+def paper_page(
+    method: Method, *, notes: str = "", numbers: Sequence[Comparison] = (), figures: str = "", level: Level = optimum
+) -> str:
+    """The page of a method.
+
+    notes: Markdown about this method in particular; numbers: further tables of its paper; figures: Markdown that shows
+    its figures; level: computes a reproduction, `optimum` unless a test knows better.
+    """
+    name, plant = example(method)
+    theorem = method.theorem(plant, scale(plant))
+    return page(
+        f"({anchor(method)})=\n# {method.name}",
+        sentence(method.summary),
+        f"Source: {source(method)}" + (" This is a baseline: something to compare with." if method.baseline else ""),
+        f"```bash\nfaultrecon design plant.toml --method {method.name} --out design.json\n```",
+        "## Notation",
+        *_notation(method),
+        "## Assumptions",
+        prose(inspect.getdoc(type(method).assumptions) or ""),
+        *_who_meets_them(method),
+        f"## Theorem {prose(theorem.number)}" if _numbered(theorem) else "## The inequality",
+        prose(inspect.getdoc(_statement(method, theorem)) or ""),
+        *_theorem(theorem),
+        "## What is claimed",
+        f"> {sentence(theorem.claim)}",
+        f"The scope that every design states with it; here for the library plant {code(name)}:",
+        f"> {sentence(theorem.scope)}",
+        *_premises(theorem),
+        *_printed(method, level),
+        notes,
+        *_variants(method, level),
+        *_further(numbers),
+        figures,
+    )
+
+
+def anchor(method: Method) -> str:
+    """What other pages call this page."""
+    return f"method-{method.name}"
+
+
+def bibliography() -> str:
+    """The papers of all methods in BibTeX, from the methods."""
+    papers = {m.paper.key: m.paper for m in all_methods().values()}
+    return "% Written from the methods when the pages are built.\n" + "\n".join(_entry(p) for p in papers.values())
+
+
+def example(method: Method) -> tuple[str, Plant]:
+    """A library plant that the method takes, one of its own reproductions if it has any."""
+    names = [r.plant for r in method.reproductions]
+    names += sorted(library_names(), key=lambda n: (n == "airliner", n))
+    for name in dict.fromkeys(names):
+        plant = read_library(name)
+        if not any(f.severity == "fatal" for f in method.assumptions(plant)):
+            return name, plant
+    raise LookupError(f"no library plant meets the assumptions of {method.name}")
+
+
+def source(method: Method) -> str:
+    """The reference, with a link where there is a DOI."""
+    paper = method.paper
+    doi = f" [doi:{paper.doi}](https://doi.org/{paper.doi})" if paper.doi else ""
+    text = f"{paper.authors} ({paper.year}). *{prose(paper.title)}*. {prose(paper.venue)}."
+    return f"{text}{doi} {{cite:p}}`{paper.key}`."
+
+
+def _entry(paper: Paper) -> str:
+    fields = {"author": paper.authors, "year": str(paper.year), "title": f"{{{paper.title}}}", "journal": paper.venue}
+    if paper.doi:
+        fields["doi"] = paper.doi
+    inner = ",\n".join(f"  {key} = {{{value}}}" for key, value in fields.items())
+    return f"@article{{{paper.key},\n{inner}\n}}\n"
+
+
+# ---------------------------------------------------------------- what the file says
+
+
+def _notation(method: Method) -> list[str]:
+    """The module's docstring: its prose, and the dictionary of letters as a table."""
+    parts = []
+    for text in paragraphs(inspect.getdoc(inspect.getmodule(type(method))) or ""):
+        rows = [re.split(r"\s{2,}", line.strip()) for line in text.splitlines()]
+        if text.startswith("    ") and rows[0][0] == "paper":
+            width = max(len(row) for row in rows)
+            rows = [row + [""] * (width - len(row)) for row in rows]
+            body = [[*(code(cell) for cell in row[:3]), *(prose(cell) for cell in row[3:])] for row in rows[1:]]
+            parts.append(table([*rows[0][:3], *["remark"] * (width - 3)], body))
+        elif text.startswith("    "):
+            parts.append(code_block(inspect.cleandoc(text)))
+        else:
+            parts.append(prose(text))
+    return parts
+
+
+def _who_meets_them(method: Method) -> list[str]:
+    rows = []
+    for name in library_names():
+        found = method.assumptions(read_library(name))
+        rows.append([code(name), "<br>".join(prose(str(f)) for f in found) or "meets them"])
+    return ["The plants of the library:", table(["plant", "answer"], rows)]
+
+
+def _statement(method: Method, theorem: Theorem) -> Callable[..., Theorem]:
+    """The function that states the theorem: theorem_3_1 for Theorem 3.1, else `theorem`."""
+    return getattr(type(method), f"theorem_{theorem.number.replace('.', '_')}", type(method).theorem)
+
+
+def _numbered(theorem: Theorem) -> bool:
+    return theorem.number[:1].isdigit()
+
+
+# ---------------------------------------------------------------- the theorem
+
+
+def printed_latex(text: str) -> str:
+    """The typeset expression as a reader writes it: stars as asterisks, plant letters with a p, powers as powers."""
+    text = text.replace(r"\star", r"\ast").replace(r"^{\mathrm{plant}}", "^{p}")
+    for pattern, written in REWRITTEN:
+        text = re.sub(pattern, written, text)
+    return text
+
+
+REWRITTEN = (
+    (r"(\\[a-z]+)\^\{p\} \1\^\{p\}", r"(\1^{p})^{2}"),  # α α
+    (r"(\\gamma) \1\b", r"\1^{2}"),
+    (r"(\\[a-z]+(?:\^\{p\})?) (\d) ", r"\2 \1 "),  # a number comes first
+    (r"\{T\^\{-1\}\}\^\{\\top\}", r"T^{-\\top}"),
+    (r"\\mathrm\{([A-Z])(\d)\}", r"\1_{\2}"),  # K1 ships, K₁ is its unknown
+)
+
+
+def _theorem(theorem: Theorem) -> list[str]:
+    minimised = printed_latex(latex(theorem.minimise))
+    unknowns = leaves([i.expr for i in theorem.inequalities], "unknown")
+    free = [letter_latex(n) for n in (node.args[0] for node in unknowns.values()) if n not in theorem.fixed]
+    fixed = [f"${letter_latex(k)} = {v:g}$" for k, v in theorem.fixed.items()]
+    text = f"Minimise ${minimised}$ over ${', '.join(free)}$"
+    text += f", with {', '.join(fixed)} unless it is set free with `free=`," if fixed else ","
+    own = [f"{printed_latex(latex(k))} = {printed_latex(latex(v))}" for k, v in theorem.gains.items()]
+    shipped = [f"{printed_latex(latex(k))} = {printed_latex(latex(v))}" for k, v in theorem.prove_with.items()]
+    return [
+        f"{text} subject to",
+        *(formula(printed_latex(inequality_latex(i))) for i in theorem.inequalities),
+        "where",
+        formulas(printed_latex(line) for line in definitions_latex(theorem.inequalities)),
+        _letters_explained(theorem),
+        *(["The gains are", formulas(own)] if own else ["There is no gain to choose."]),
+        "They are rounded to what runs. Then the inequalities are proved once more in exact arithmetic, about the"
+        " rounded gains, with " + ", ".join(f"${line}$" for line in shipped) + ".",
+    ]
+
+
+EXPLAINED = {
+    "T": "$T$ is diagonal and scales the states by powers of two",
+    "R⁻¹": "$R$ does the same for the healthy outputs",
+    "N": "$N$ picks the healthy outputs, $N F = 0$",
+    "F⁺": "$F^{+}$ is a left inverse of the fault matrix, $F^{+} F = I$",
+    "plant.W": "$W^{p}$ holds the declared sizes of the disturbances",
+    "plant.V": "$V^{p}$ holds one over the declared sizes of the faults",
+    "plant.α": r"$\alpha^{p}$ is the Lipschitz constant",
+}
+
+
+def _letters_explained(theorem: Theorem) -> str:
+    nodes = [i.expr for i in theorem.inequalities] + list(theorem.gains.values())
+    present = {node.args[0] for node in leaves(nodes, "given").values()}
+    known = [text for letter, text in EXPLAINED.items() if letter in present]
+    return "A raised $p$ marks a letter of the [plant file](../reference/files.md). " + "; ".join(known) + "."
+
+
+def _premises(theorem: Theorem) -> list[str]:
+    found = [f"- {prose(p.label)} ({p.verdict}): {prose(p.text)}" for p in theorem.premises]
+    return ["Taken from elsewhere, and marked so in the certificate:", "\n".join(found)] if found else []
+
+
+# ---------------------------------------------------------------- numbers
+
+
+def _printed(method: Method, level: Level) -> list[str]:
+    if not method.reproductions:
+        return []
+    rows = []
+    for r in method.reproductions:
+        printed = "none" if r.printed is None else number(r.printed)
+        computed = number(level(read_library(r.plant), method.name, **r.options))
+        cells = [prose(r.item), printed, computed, number(r.expected), STATUS[r.status], prose(r.reason)]
+        rows.append(cells)
+    head = ["item", "printed", "computed now", "our reference", "status", "reason"]
+    about = (
+        "*Printed* is the paper's number; *computed now* came out when this page was built; *our reference* is from an"
+        " independent implementation. The status says what holds of the printed number."
+    )
+    return ["## Printed and computed", about, table(head, rows, kind="wide")]
+
+
+def _variants(method: Method, level: Level) -> list[str]:
+    parts: list[str] = []
+    for other in all_methods().values():
+        if other.variant_of != method.name:
+            continue
+        name, plant = example(other)
+        base = {i.label for i in method.theorem(plant, scale(plant)).inequalities}
+        more = [i for i in other.theorem(plant, scale(plant)).inequalities if i.label not in base]
+        parts += [
+            f"## Variant: {other.name}",
+            sentence(other.summary),
+            prose(inspect.getdoc(type(other)) or ""),
+            *(["It adds"] if more else []),
+            *(formula(printed_latex(inequality_latex(i))) for i in more),
+            *(["where", formulas(printed_latex(line) for line in definitions_latex(more))] if more else []),
+            *_compared(method, other, level),
+        ]
+    return parts
+
+
+def _compared(method: Method, other: Method, level: Level) -> list[str]:
+    plants = dict.fromkeys(r.plant for r in method.reproductions)
+    rows = [[code(p), _level_or_none(p, method, level), _level_or_none(p, other, level)] for p in plants]
+    return ["Smallest level:", table(["plant", method.name, other.name], rows)] if rows else []
+
+
+def _level_or_none(plant: str, method: Method, level: Level) -> str:
+    try:
+        return number(level(read_library(plant), method.name))
+    except Impossible:
+        return "no solution"
+    except FaultreconError:
+        return "the solver cannot tell"
+
+
+def _further(numbers: Sequence[Comparison]) -> list[str]:
+    if not numbers:
+        return []
+    rows = [row for comparison in numbers for row in comparison.rows]
+    good = sum(row.agrees for row in rows)
+    parts = [
+        f"## {FURTHER}",
+        f"{good} of {len(rows)} numbers agree with our references within the tolerances stated. *Predicted* is what theory"
+        " says about a number that depends on random noise; the computed one is then compared with it.",
+    ]
+    for comparison in numbers:
+        predicted = any(row.expected is not None for row in comparison.rows)
+        head = ["", "our reference", *(["predicted"] if predicted else []), "computed now", "within", ""]
+        rows = [
+            [
+                prose(row.item),
+                number(row.reference),
+                *([number(row.expected) if row.expected is not None else ""] if predicted else []),
+                number(row.computed),
+                f"{row.tolerance:.2g}" + ("" if row.absolute else " rel."),
+                "agrees" if row.agrees else "**differs**",
+            ]
+            for row in comparison.rows
+        ]
+        notes = dict.fromkeys([*(row.note for row in comparison.rows if row.note), *comparison.remarks])
+        body = [*(sentence(note) for note in notes), folded(f"{len(rows)} numbers", table(head, rows, kind="numbers"))]
+        parts += [f"### {prose(comparison.title)}", *body]
+    return parts
+
+
+def computed_again(method: Method, folder: Path | None) -> tuple[Sequence[Comparison], Sequence[Path]]:
+    """The tables and figures of a method's paper; none for a baseline or where no reproduction is written."""
+    if method.baseline or method.variant_of or method.paper.key not in reproducible():
+        return (), ()
+    found = reproduce(method.paper.key, folder)
+    told = {r.item for r in method.reproductions}  # these stand in a table of their own
+    return [table for table in found.tables if {row.item for row in table.rows} - told], found.figures

@@ -1,0 +1,171 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""What stands against a reconstruction is said with the mode, the states it lives in, and what would change it."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from faultrecon.diagnosis.diagnosis import diagnose
+from faultrecon.diagnosis.existence import detectability_findings, fault_findings
+from faultrecon.diagnosis.limits import reconstruction_floor
+from faultrecon.finding import Impossible
+from faultrecon.io.library import read_library
+from faultrecon.plant.fault import Disturbance, FaultChannel
+from faultrecon.plant.plant import Plant
+from faultrecon.plant.signals import Channels, Signals
+from faultrecon.synthesis.pipeline import design
+
+PUSH = (Disturbance("w", {"x1": 1.0}),)
+
+
+def plant(A, C, faults, disturbances=PUSH, inputs=()):
+    """A linear plant with states x1, x2, ... and sensors y1, y2, ..."""
+    A, C = np.atleast_2d(np.asarray(A, dtype=float)), np.atleast_2d(np.asarray(C, dtype=float))
+    x, y = ([f"{k}{i + 1}" for i in range(m)] for k, m in (("x", len(A)), ("y", len(C))))
+    signals = Signals(Channels(tuple(x)), Channels(tuple(inputs)), Channels(tuple(y)))
+    B, D = np.zeros((len(A), len(inputs))), np.zeros((len(C), len(inputs)))
+    channels = tuple(FaultChannel(f"f{i + 1}", on) for i, on in enumerate(faults))
+    return Plant("tank", signals, A, B, C, D, faults=channels, disturbances=tuple(disturbances))
+
+
+STABLE = np.array([[-1.0, 0.5], [0.0, -2.0]])
+
+
+def test_a_plant_that_declares_no_fault_says_so():
+    (found,) = fault_findings(plant(STABLE, np.eye(2), []))
+    assert str(found) == "tank declares no fault; add a [[fault]] table to the plant file"
+    assert not diagnose(plant(STABLE, np.eye(2), [])).possible
+
+
+def test_faults_in_one_direction_cannot_be_told_apart_and_are_named():
+    C = np.vstack([np.eye(2), [1.0, 1.0]])
+    twice = plant(STABLE, C, [{"y1": 1.0}, {"y2": 1.0, "y3": 2.0}, {"y2": -3.0, "y3": -6.0}])
+    (found,) = fault_findings(twice)
+    assert found.what == "the fault matrix F has rank 2 for 3 sensor faults"
+    assert found.why.startswith("f2 and f3 move the measurements in one direction")
+    assert found.evidence == {"rank": 2, "faults": 3, "sensors": 3}
+    assert any("one of them at a time" in r for r in found.remedies)
+    assert not diagnose(twice).possible
+    assert all(d.possible for d in diagnose(twice).alone)
+
+
+@pytest.mark.parametrize("unit", [1e-9, 1.0, 1e9])
+def test_the_rank_of_the_fault_matrix_does_not_depend_on_units(unit):
+    good = plant(STABLE, np.eye(2), [{"y1": unit}, {"y1": 1.0, "y2": 1.0}])
+    bad = plant(STABLE, np.eye(2), [{"y1": unit, "y2": unit}, {"y1": 1.0, "y2": 1.0}])
+    assert fault_findings(good) == []
+    assert len(fault_findings(bad)) == 1
+
+
+def test_more_faults_than_sensors_are_too_many():
+    found = fault_findings(plant(STABLE, np.eye(2), [{"y1": 1.0}, {"y2": 1.0}, {"y1": 1.0, "y2": 1.0}]))
+    assert found[0].evidence["rank"] == 2
+
+
+def test_a_mode_that_healthy_sensors_do_not_see_is_named_with_its_states_and_a_remedy():
+    # The integrator x2 is seen by y2 alone, and y2 is faulty.
+    integrator = plant([[-1.0, 0.0], [0.0, 0.0]], np.eye(2), [{"y2": 1.0}])
+    (found,) = detectability_findings(integrator)
+    assert found.what == "the healthy sensors do not see the mode at s = 0, which does not decay"
+    assert found.why == "(A, C1) is not detectable; the mode lives in x2"
+    assert found.evidence["states"] == ["x2"]
+    assert found.remedies[0] == "add a healthy sensor that reads x2"
+    with pytest.raises(Impossible, match="do not see the mode at s = 0"):
+        design(integrator)
+
+
+def test_an_undamped_pair_is_one_finding_with_its_frequency():
+    pair = plant([[-1.0, 0, 0], [0, 0, 3.0], [0, -3.0, 0]], np.eye(3), [{"y2": 1.0}, {"y3": 1.0}])
+    (found,) = detectability_findings(pair)
+    assert "s = 0 ± 3j" in found.what
+    assert set(found.evidence["states"]) == {"x2", "x3"}
+
+
+def test_an_unseen_mode_that_decays_is_no_obstacle():
+    assert detectability_findings(plant(np.diag([-1.0, -2.0]), np.eye(2), [{"y2": 1.0}])) == []
+
+
+def test_the_verdict_on_detectability_does_not_depend_on_units():
+    for unit in (1e-6, 1e6):
+        T = np.diag([1.0, unit])
+        A, C = np.linalg.inv(T) @ np.array([[-1.0, 0.0], [0.0, 0.0]]) @ T, np.eye(2) @ T
+        assert len(detectability_findings(plant(A, C, [{"y2": 1.0}]))) == 1
+        assert detectability_findings(plant(A, C, [{"y1": 1.0}])) == []
+
+
+def test_a_hair_from_undetectable_is_a_warning_with_the_distance():
+    # x2 grows and reaches the healthy sensor y1 through a difference of two nearly equal paths alone; units of single
+    # states cannot mend that.
+    A = [[-1.0, 0.0, 1.0], [0.0, -1.0, 1.0 + 1e-9], [0.0, 0.0, 0.1]]
+    (found,) = detectability_findings(plant(A, [[1.0, -1.0, 0.0], [0.0, 0.0, 1.0]], [{"y2": 1.0}]))
+    assert found.severity == "warning"
+    assert "by a hair" in found.what
+    assert 0 < found.evidence["distance"] < 1e-6
+
+
+@pytest.mark.parametrize("A", [STABLE, [[0.1, 0.0], [0.0, -1.0]]])
+def test_a_plant_whose_sensors_are_all_faulty_has_no_observer(A):
+    everything = plant(A, np.eye(2), [{"y1": 1.0}, {"y2": 1.0}])
+    with pytest.raises(Impossible, match="all 2 sensors are declared faulty"):
+        design(everything)
+    settles = np.linalg.eigvals(A).real.max() < 0
+    assert diagnose(everything).possible == settles
+    if not settles:
+        assert "no sensor stays healthy and the plant does not settle by itself" in str(diagnose(everything))
+
+
+def test_a_stable_plant_whose_sensors_are_all_faulty_has_its_open_loop():
+    everything = plant(STABLE, np.eye(2), [{"y1": 1.0}, {"y2": 1.0}])
+    found = design(everything, "open-loop")
+    assert found.verification.verdict == "proved"
+    # Without a healthy sensor nothing is better than the open loop: its gain is the floor.
+    assert found.optimum == pytest.approx(found.floor, rel=1e-5)
+
+
+def test_without_a_disturbance_there_is_no_level_and_no_crash():
+    calm = plant(STABLE, np.eye(2), [{"y2": 1.0}], disturbances=())
+    assert reconstruction_floor(calm) is None
+    assert diagnose(calm).together.floor is None
+    assert calm.digest() == replace(calm).digest()
+    for name in ("lipschitz-hinf", "open-loop"):
+        with pytest.raises(Impossible, match="declares no disturbance to attenuate"):
+            design(calm, name)
+
+
+@pytest.mark.parametrize("role", ["noise"])
+def test_a_disturbance_that_no_level_counts_is_not_attenuated(role):
+    calm = plant(STABLE, np.eye(2), [{"y2": 1.0}], disturbances=(Disturbance("w", {"x1": 1.0}, role=role),))
+    assert calm.E_w.shape == (2, 0)
+    with pytest.raises(Impossible, match="declares no disturbance to attenuate"):
+        design(calm)
+
+
+@pytest.mark.parametrize("names", [("fa",), ("fs", "fa"), ("fa", "fs")])
+def test_actuator_faults_do_not_break_the_diagnosis(names):
+    with_input = plant(STABLE, np.eye(2), [], inputs=("u",))
+    channels = {"fa": FaultChannel("fa", {"u": 1.0}, site="actuator"), "fs": FaultChannel("fs", {"y2": 1.0})}
+    found = diagnose(replace(with_input, faults=tuple(channels[n] for n in names)))
+    assert found.together.faults == names
+    assert found.together.floor is None
+
+
+def test_diagnosis_of_the_examples_reports_their_floors():
+    # Six digits are tabulated.
+    for name, floor in (("lipschitz_aircraft", 0.487601), ("lipschitz_polynomial", 0.587324)):
+        found = diagnose(read_library(name))
+        assert found.possible
+        assert found.together.floor == pytest.approx(floor, rel=2e-6)
+        assert f"{floor:.4g}"[:6] in str(found)
+
+
+def test_fewer_faults_at_a_time_never_raise_the_floor():
+    found = diagnose(read_library("lipschitz_aircraft"))
+    assert all(d.floor <= found.together.floor * (1 + 1e-8) for d in found.alone)
+
+
+def test_a_diagnosis_is_plain_values_for_json():
+    import json
+
+    found = diagnose(read_library("lipschitz_aircraft"))
+    assert json.loads(json.dumps(found.as_dict()))["together"]["possible"] is True
