@@ -27,7 +27,7 @@ import faultrecon  # noqa: E402 - after the paths are set
 
 project = "faultrecon"
 author = "The faultrecon authors"
-copyright = author  # noqa: A001 - Sphinx reads this name
+copyright = author
 version = release = faultrecon.__version__
 
 extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinxcontrib.bibtex", "faultrecon_docs"]

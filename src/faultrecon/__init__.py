@@ -31,6 +31,12 @@ _DOOR = {
     "equilibrium": "faultrecon.plant.derive",
     "linearise": "faultrecon.plant.derive",
     "linearised": "faultrecon.plant.derive",
+    "simulate": "faultrecon.simulation.run",
+    "Run": "faultrecon.simulation.run",
+    "Scenario": "faultrecon.simulation.scenario",
+    "study": "faultrecon.simulation.study",
+    "compare": "faultrecon.advise.comparison",
+    "reproduce": "faultrecon.advise.reproductions",
     "Plant": "faultrecon.plant.plant",
     "OperatingPoint": "faultrecon.plant.plant",
     "Signals": "faultrecon.plant.signals",
@@ -71,9 +77,12 @@ __all__ = [
     "Noise",
     "OperatingPoint",
     "Plant",
+    "Run",
+    "Scenario",
     "Signals",
     "__version__",
     "cite",
+    "compare",
     "design",
     "diagnose",
     "discretised",
@@ -88,13 +97,18 @@ __all__ = [
     "read_log",
     "reconstruct",
     "replay",
+    "reproduce",
     "save",
     "score",
+    "simulate",
+    "study",
     "verify",
     "write_log",
 ]
 
 if TYPE_CHECKING:
+    from faultrecon.advise.comparison import compare
+    from faultrecon.advise.reproductions import reproduce
     from faultrecon.certificate import Certificate, verify
     from faultrecon.diagnosis.diagnosis import Diagnosis, diagnose
     from faultrecon.finding import FaultreconError, Finding, Impossible, Inconclusive, InputError
@@ -111,6 +125,9 @@ if TYPE_CHECKING:
     from faultrecon.plant.signals import Channels, Noise, Signals
     from faultrecon.runtime.estimator import Estimator
     from faultrecon.simulation.metrics import score
+    from faultrecon.simulation.run import Run, simulate
+    from faultrecon.simulation.scenario import Scenario
+    from faultrecon.simulation.study import study
     from faultrecon.synthesis.pipeline import design, optimum
     from faultrecon.synthesis.result import Design
 

@@ -24,7 +24,7 @@ class Steady(LipschitzHinf):
     paper = Paper("doe2030", "Doe, J.", 2030, "Steady reconstruction", "Journal of Examples 1", "10.0/steady")
     reproductions = ()
 
-    def also(self, P, Ti, α, n):
+    def also(self, P, α, n):
         return [(P - 1e-9 * I(n) > 0).tagged("P > ε I")]
 """
 

@@ -25,7 +25,7 @@ signal_names = st.from_regex(r"[A-Za-z_][A-Za-z_0-9]{0,6}", fullmatch=True).filt
 )
 # Any text a person can type, control characters included; surrogates are no text.
 words = st.text(st.characters(exclude_categories=["Cs"]), max_size=12)
-titles = words.filter(str.strip)
+titles = words.filter(lambda name: name.strip() and name.isprintable())
 units = words.filter(lambda text: not set(text) & set("[]"))
 
 

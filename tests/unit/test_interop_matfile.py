@@ -22,7 +22,7 @@ NUMBERS = st.floats(allow_nan=False, allow_infinity=False)
 POSITIVE = st.floats(1e-300, 1e300)
 TITLES = st.text(
     st.characters(blacklist_categories=["Cs", "Cc"]), min_size=1, max_size=12
-).filter(lambda text: text == text.strip())  # fmt: skip
+).filter(lambda text: text == text.strip() and text.isprintable())  # fmt: skip
 
 
 @st.composite

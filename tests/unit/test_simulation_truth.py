@@ -155,7 +155,8 @@ def test_measurements_fed_back_carry_their_faults_and_noise():
 def test_inputs_held_by_a_controller_are_steps():
     scenario = Scenario(duration=2.0, sample_time=0.5, inputs={"u": Sine(1.0, 2.0)}, noise=False, input_hold="sample")
     run = true_run(_plant(), scenario)
-    steps = sum((Step(np.sin(2 * t) - np.sin(2 * t - 1)).starting(t) for t in (1.0, 1.5)), Step(np.sin(1)).starting(0.5))
+    later = (Step(np.sin(2 * t) - np.sin(2 * t - 1)).starting(t) for t in (1.0, 1.5))
+    steps = sum(later, Step(np.sin(1)).starting(0.5))
     stepped = true_run(_plant(), Scenario(duration=2.0, sample_time=0.5, inputs={"u": steps}, noise=False))
     assert run.x == pytest.approx(stepped.x, abs=1e-12)
 

@@ -76,7 +76,7 @@ def test_an_unknown_fault_is_answered_with_a_suggestion():
 
 
 def test_a_fault_asked_for_twice_is_refused():
-    with pytest.raises(InputError, match="'f' names two faults"):
+    with pytest.raises(InputError, match="the fault 'f' is asked for twice"):
         design(PLANT, faults=["f", "f"])
 
 

@@ -1,19 +1,22 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""What Sphinx needs to document this package: pages that are generated, formulas as pictures, cells that run shell lines."""
+"""What Sphinx needs to document this package: generated pages, formulas as pictures, cells that run shell lines.
+
+What writes pages needs the package alone, so that it can be tested without Sphinx.
+"""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from sphinx.application import Sphinx
-
-from faultrecon_docs import cells, docstrings, formulas
-from faultrecon_docs.pages import write_pages
+if TYPE_CHECKING:
+    from sphinx.application import Sphinx
 
 
 def setup(app: Sphinx) -> dict[str, Any]:
     """Register everything; the generated pages are written before Sphinx looks for pages."""
+    from faultrecon_docs import cells, docstrings, formulas
+
     formulas.setup(app)
     cells.setup(app)
     docstrings.setup(app)
@@ -22,4 +25,8 @@ def setup(app: Sphinx) -> dict[str, Any]:
 
 
 def _generate(app: Sphinx) -> None:
-    write_pages(Path(app.srcdir))
+    from sphinx.util import logging
+
+    from faultrecon_docs.pages import write_pages
+
+    write_pages(Path(app.srcdir), logging.getLogger(__name__).warning)

@@ -15,7 +15,10 @@ from typing import Any
 
 from faultrecon_docs.text import code, page, prose, table
 
-NONE_YET = "No results are committed yet. Run the scripts in `benchmarks/`; each writes its file to `benchmarks/results/`."
+NONE_YET = (
+    "No results are committed yet. Run the scripts in `benchmarks/`;"
+    " what they write to `benchmarks/results/` is shown here."
+)
 
 
 def results(folder: Path) -> str:

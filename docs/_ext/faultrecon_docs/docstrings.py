@@ -4,9 +4,11 @@
 from __future__ import annotations
 
 import re
-from typing import Any
+from itertools import groupby
+from typing import TYPE_CHECKING, Any
 
-from sphinx.application import Sphinx
+if TYPE_CHECKING:
+    from sphinx.application import Sphinx
 
 CODE = re.compile(r"`([^`]+)`")
 SPECIAL = re.compile(r"([\\*|_`])")
@@ -19,15 +21,16 @@ def marked(line: str) -> str:
 
 
 def restructured(lines: list[str]) -> list[str]:
-    """The lines of a docstring as reStructuredText; what is indented is shown as it stands."""
+    """The lines of a docstring as reStructuredText; a paragraph with indented lines is shown as it stands."""
     out: list[str] = []
-    shown = False
-    for k, line in enumerate(lines):
-        indented = line.startswith("    ") and (shown or not lines[k - 1].strip())
-        if indented and not shown:
-            out += ["::", ""]
-        shown = indented or (shown and not line.strip())
-        out.append(line if indented else marked(line))
+    for blank, group in groupby(lines, lambda line: not line.strip()):
+        paragraph = list(group)
+        if blank:
+            out += paragraph
+        elif paragraph[0].startswith("- ") or not any(line.startswith("  ") for line in paragraph):
+            out += [marked(line) for line in paragraph]
+        else:
+            out += ["::", "", *(f"    {line}" for line in paragraph), ""]
     return out
 
 

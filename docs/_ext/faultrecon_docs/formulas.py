@@ -13,24 +13,24 @@ from functools import cache
 from html import escape
 from typing import Any
 
-import ziafont
-import ziamath
 from docutils import nodes
 from sphinx.application import Sphinx
 from sphinx.errors import ExtensionError
 from sphinx.util.math import get_node_equation_number
+from ziafont.config import config as glyphs
+from ziamath.zmath import Latex
 
 SIZE = 17.0  # px; a shade larger than the text, as letters of a formula carry more
 TAG = re.compile(r"\\tag\{([^}]*)\}")
 
-ziafont.config.svg2 = False  # glyphs as paths, not as symbols with an id: many formulas share one page
+glyphs.svg2 = False  # glyphs as paths, not as symbols with an id: many formulas share one page
 
 
 @cache
 def picture(latex: str, inline: bool) -> tuple[str, float]:
     """A formula as an SVG element in the colour of the text around it, and how far it hangs below the line, px."""
     try:
-        drawn = ziamath.Latex(respaced(latex), size=SIZE, color="currentColor", inline=inline, title=latex)
+        drawn = Latex(respaced(latex), size=SIZE, color="currentColor", inline=inline, title=latex)
     except Exception as error:  # whatever ziamath stumbles over, the page has to be mended
         raise ExtensionError(f"the formula {latex!r} cannot be drawn: {error}") from error
     svg = drawn.svg().replace("<svg ", f'<svg role="img" aria-label="{escape(latex, quote=True)}" ', 1)
@@ -39,8 +39,7 @@ def picture(latex: str, inline: bool) -> tuple[str, float]:
 
 def respaced(latex: str) -> str:
     """A sign that is no operation, as in 'a = -b', without the space of one."""
-    text = re.sub(r"\((-[^()&]*?)\) ?I\b", r"\1 I", latex)
-    return re.sub(r"(=|&|\[|\(|\\\\|\{bmatrix\}|^)\s*-(?=\s*[A-Za-z\\(])", r"\1 {-}", text)
+    return re.sub(r"(=|&|\[|\(|\\\\|\{bmatrix\}|^)\s*-(?=\s*[A-Za-z\\(])", r"\1 {-}", latex)
 
 
 def inline(translator: Any, node: nodes.math) -> None:

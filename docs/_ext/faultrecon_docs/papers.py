@@ -9,11 +9,12 @@ from __future__ import annotations
 
 import inspect
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 from faultrecon.advise.reproductions import Comparison, reproduce, reproducible
-from faultrecon.finding import FaultreconError, Impossible
+from faultrecon.finding import FaultreconError, Impossible, Inconclusive
 from faultrecon.io.library import library_names, read_library
 from faultrecon.lmi.typeset import definitions_latex, inequality_latex, latex, letter_latex
 from faultrecon.lmi.walk import leaves
@@ -22,9 +23,21 @@ from faultrecon.methods.registry import all_methods
 from faultrecon.plant.plant import Plant
 from faultrecon.synthesis.levels import scale
 from faultrecon.synthesis.pipeline import optimum
-from faultrecon_docs.text import code, code_block, folded, formula, formulas, number, page, paragraphs, prose, sentence, table
+from faultrecon_docs.text import (
+    code,
+    code_block,
+    folded,
+    formula,
+    formulas,
+    number,
+    page,
+    paragraphs,
+    prose,
+    sentence,
+    table,
+)
 
-Level = Callable[..., float]
+Warn = Callable[[str], None]
 STATUS = {
     "as_printed": "as printed",
     "with_change": "with a change",
@@ -35,12 +48,12 @@ FURTHER = "All numbers of the paper, computed again"
 
 
 def paper_page(
-    method: Method, *, notes: str = "", numbers: Sequence[Comparison] = (), figures: str = "", level: Level = optimum
+    method: Method, *, notes: str = "", numbers: Sequence[Comparison] = (), figures: str = "", warn: Warn = print
 ) -> str:
     """The page of a method.
 
     notes: Markdown about this method in particular; numbers: further tables of its paper; figures: Markdown that shows
-    its figures; level: computes a reproduction, `optimum` unless a test knows better.
+    its figures; warn: told of every reproduction that does not come out as its reference.
     """
     name, plant = example(method)
     theorem = method.theorem(plant, scale(plant))
@@ -62,9 +75,9 @@ def paper_page(
         f"The scope that every design states with it; here for the library plant {code(name)}:",
         f"> {sentence(theorem.scope)}",
         *_premises(theorem),
-        *_printed(method, level),
+        *_printed(method, warn),
         notes,
-        *_variants(method, level),
+        *_variants(method),
         *_further(numbers),
         figures,
     )
@@ -115,17 +128,28 @@ def _notation(method: Method) -> list[str]:
     """The module's docstring: its prose, and the dictionary of letters as a table."""
     parts = []
     for text in paragraphs(inspect.getdoc(inspect.getmodule(type(method))) or ""):
-        rows = [re.split(r"\s{2,}", line.strip()) for line in text.splitlines()]
-        if text.startswith("    ") and rows[0][0] == "paper":
-            width = max(len(row) for row in rows)
-            rows = [row + [""] * (width - len(row)) for row in rows]
-            body = [[*(code(cell) for cell in row[:3]), *(prose(cell) for cell in row[3:])] for row in rows[1:]]
-            parts.append(table([*rows[0][:3], *["remark"] * (width - 3)], body))
+        if text.split(maxsplit=1)[0] == "paper":
+            parts.append(_dictionary(text))
         elif text.startswith("    "):
             parts.append(code_block(inspect.cleandoc(text)))
         else:
             parts.append(prose(text))
     return parts
+
+
+def _dictionary(text: str) -> str:
+    """A dictionary of letters: cells under a heading belong to it, others are remarks."""
+    head, *lines = text.splitlines()
+    heads = {cell.start(): cell[0] for cell in CELL.finditer(head)}
+    rows = []
+    for line in lines:
+        cells = [(cell.start(), cell[0]) for cell in CELL.finditer(line)]
+        under = [code(dict(cells).get(start, "")) for start in heads]
+        rows.append([*under, prose("; ".join(cell for start, cell in cells if start not in heads))])
+    return table([*heads.values(), "remark"], rows)
+
+
+CELL = re.compile(r"\S+(?: \S+)*")  # words with single blanks between them
 
 
 def _who_meets_them(method: Method) -> list[str]:
@@ -158,8 +182,11 @@ def printed_latex(text: str) -> str:
 
 REWRITTEN = (
     (r"(\\[a-z]+)\^\{p\} \1\^\{p\}", r"(\1^{p})^{2}"),  # α α
-    (r"(\\gamma) \1\b", r"\1^{2}"),
-    (r"(\\[a-z]+(?:\^\{p\})?) (\d) ", r"\2 \1 "),  # a number comes first
+    (r"(U )?\\gamma \1\\gamma", lambda found: r"(U \gamma)^{2}" if found[1] else r"\gamma^{2}"),
+    (r"\bU U\b", r"U^{2}"),
+    (r"U\^\{-1\} U\^\{-1\}", r"U^{-2}"),
+    (r"(\\[a-z]+\^\{p\}) (\d) ", r"\2 \1 "),  # a number comes first
+    (r"\(-([^()&]*?)\) (?=I|\()", r"-\1 "),  # (-β) I
     (r"\{T\^\{-1\}\}\^\{\\top\}", r"T^{-\\top}"),
     (r"\\mathrm\{([A-Z])(\d)\}", r"\1_{\2}"),  # K1 ships, K₁ is its unknown
 )
@@ -189,6 +216,7 @@ def _theorem(theorem: Theorem) -> list[str]:
 EXPLAINED = {
     "T": "$T$ is diagonal and scales the states by powers of two",
     "R⁻¹": "$R$ does the same for the healthy outputs",
+    "U": r"$U$ is a power of two that brings $\gamma$ near one",
     "N": "$N$ picks the healthy outputs, $N F = 0$",
     "F⁺": "$F^{+}$ is a left inverse of the fault matrix, $F^{+} F = I$",
     "plant.W": "$W^{p}$ holds the declared sizes of the disturbances",
@@ -212,15 +240,18 @@ def _premises(theorem: Theorem) -> list[str]:
 # ---------------------------------------------------------------- numbers
 
 
-def _printed(method: Method, level: Level) -> list[str]:
+def _printed(method: Method, warn: Warn) -> list[str]:
     if not method.reproductions:
         return []
     rows = []
     for r in method.reproductions:
         printed = "none" if r.printed is None else number(r.printed)
-        computed = number(level(read_library(r.plant), method.name, **r.options))
-        cells = [prose(r.item), printed, computed, number(r.expected), STATUS[r.status], prose(r.reason)]
-        rows.append(cells)
+        computed = _level_or_none(r.plant, method, r.options)
+        agrees = computed is not None and abs(computed - r.expected) <= r.rtol * abs(r.expected)
+        if not agrees:
+            warn(f"{method.name}, {r.item}: computed {computed}, reference {r.expected}")
+        shown = number(computed) if agrees else f"**{number(computed)}, differs**"
+        rows.append([prose(r.item), printed, shown, number(r.expected), STATUS[r.status], prose(r.reason)])
     head = ["item", "printed", "computed now", "our reference", "status", "reason"]
     about = (
         "*Printed* is the paper's number; *computed now* came out when this page was built; *our reference* is from an"
@@ -229,12 +260,12 @@ def _printed(method: Method, level: Level) -> list[str]:
     return ["## Printed and computed", about, table(head, rows, kind="wide")]
 
 
-def _variants(method: Method, level: Level) -> list[str]:
+def _variants(method: Method) -> list[str]:
     parts: list[str] = []
     for other in all_methods().values():
         if other.variant_of != method.name:
             continue
-        name, plant = example(other)
+        _, plant = example(other)
         base = {i.label for i in method.theorem(plant, scale(plant)).inequalities}
         more = [i for i in other.theorem(plant, scale(plant)).inequalities if i.label not in base]
         parts += [
@@ -244,23 +275,29 @@ def _variants(method: Method, level: Level) -> list[str]:
             *(["It adds"] if more else []),
             *(formula(printed_latex(inequality_latex(i))) for i in more),
             *(["where", formulas(printed_latex(line) for line in definitions_latex(more))] if more else []),
-            *_compared(method, other, level),
+            *_compared(method, other),
         ]
     return parts
 
 
-def _compared(method: Method, other: Method, level: Level) -> list[str]:
+def _compared(method: Method, other: Method) -> list[str]:
     plants = dict.fromkeys(r.plant for r in method.reproductions)
-    rows = [[code(p), _level_or_none(p, method, level), _level_or_none(p, other, level)] for p in plants]
+    rows = [[code(p), *(_answer(p, m) for m in (method, other))] for p in plants]
     return ["Smallest level:", table(["plant", method.name, other.name], rows)] if rows else []
 
 
-def _level_or_none(plant: str, method: Method, level: Level) -> str:
+def _level_or_none(plant: str, method: Method, options: Mapping[str, Any] | None = None) -> float | None:
+    """The smallest level; None where there is no solution."""
     try:
-        return number(level(read_library(plant), method.name))
+        return optimum(read_library(plant), method.name, **(options or {}))
     except Impossible:
-        return "no solution"
-    except FaultreconError:
+        return None
+
+
+def _answer(plant: str, method: Method) -> str:
+    try:
+        return number(_level_or_none(plant, method))
+    except Inconclusive:
         return "the solver cannot tell"
 
 
@@ -271,8 +308,8 @@ def _further(numbers: Sequence[Comparison]) -> list[str]:
     good = sum(row.agrees for row in rows)
     parts = [
         f"## {FURTHER}",
-        f"{good} of {len(rows)} numbers agree with our references within the tolerances stated. *Predicted* is what theory"
-        " says about a number that depends on random noise; the computed one is then compared with it.",
+        f"{good} of {len(rows)} numbers agree with our references within the tolerances stated. *Predicted* is what"
+        " theory says about a number that depends on random noise; the computed one is then compared with it.",
     ]
     for comparison in numbers:
         predicted = any(row.expected is not None for row in comparison.rows)
@@ -294,10 +331,14 @@ def _further(numbers: Sequence[Comparison]) -> list[str]:
     return parts
 
 
-def computed_again(method: Method, folder: Path | None) -> tuple[Sequence[Comparison], Sequence[Path]]:
+def computed_again(method: Method, folder: Path | None, warn: Warn) -> tuple[Sequence[Comparison], Sequence[Path]]:
     """The tables and figures of a method's paper; none for a baseline or where no reproduction is written."""
     if method.baseline or method.variant_of or method.paper.key not in reproducible():
         return (), ()
-    found = reproduce(method.paper.key, folder)
+    try:
+        found = reproduce(method.paper.key, folder)
+    except FaultreconError as error:  # the warning fails the build; the other pages can still be looked at
+        warn(f"{method.paper.key} cannot be reproduced: {error}")
+        return (), ()
     told = {r.item for r in method.reproductions}  # these stand in a table of their own
     return [table for table in found.tables if {row.item for row in table.rows} - told], found.figures

@@ -60,11 +60,11 @@ def formulas(several: Iterable[str]) -> str:
 
 def folded(title: str, text: str) -> str:
     """Text that shows when its title is clicked."""
-    return f"<details class=\"folded\"><summary>{title}</summary>\n\n{text}\n\n</details>"
+    return f'<details class="folded"><summary>{title}</summary>\n\n{text}\n\n</details>'
 
 
 def sentence(text: str) -> str:
     """Plain text as a sentence: a capital in front, unless it begins with a name that has none, and a full stop."""
     word = text.split(maxsplit=1)[0] if text else ""
-    first = text[:1] if "-" in word else text[:1].upper()
+    first = text[:1] if "-" in word or not text[:1].isascii() else text[:1].upper()
     return prose(first + text[1:]) + ("" if text.endswith((".", "?")) else ".")

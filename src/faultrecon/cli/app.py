@@ -1,54 +1,23 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The verbs.  Exit code 0: fine, 1: a negative finding, 2: wrong usage or file, 3: inconclusive or internal."""
+"""The verbs that work on files; those that simulate are in `trying`."""
 
 from __future__ import annotations
 
+from importlib import import_module
 from pathlib import Path
-from typing import Annotated, Any, Optional
+from typing import Annotated, Optional
 
 import typer
 
+from faultrecon.cli.root import Faults, Json, PlantName, app, plant_named
 from faultrecon.cli.shell import NEGATIVE, answer, bar, guarded, speak_any_letter, stages
-
-app = typer.Typer(
-    name="faultrecon",
-    help="Reconstruct the waveform of sensor faults, with a proof of what the observer guarantees.",
-    epilog="Exit code 0: fine, 1: a negative finding, 2: wrong usage or file, 3: inconclusive or internal.",
-    no_args_is_help=True,
-    add_completion=False,
-    rich_markup_mode=None,
-    pretty_exceptions_enable=False,
-)
-
-Json = Annotated[bool, typer.Option("--json", help="Print the answer as JSON.")]
-PlantName = Annotated[
-    str, typer.Argument(metavar="PLANT", help="A plant file (.toml, .mat) or the name of a library plant.")
-]
-Faults = Annotated[
-    Optional[list[str]],  # noqa: UP045 - typer reads the annotation at run time
-    typer.Option("--fault", help="Reconstruct only this fault; repeat for several. All by default."),
-]
 
 
 def run_app() -> None:
     """Run the command line."""
+    import_module("faultrecon.cli.trying")  # registers its verbs
     speak_any_letter()
     app()
-
-
-def _plant(name: str) -> Any:
-    from faultrecon.finding import InputError, did_you_mean
-    from faultrecon.io.library import library_names, read_library
-    from faultrecon.io.matfile import read_mat
-    from faultrecon.io.plantfile import read_plant
-
-    if name.endswith(".toml") or Path(name).exists():
-        return read_mat(name) if name.lower().endswith(".mat") else read_plant(name)
-    if name not in library_names():
-        raise InputError(
-            f"{name}: is neither a plant file nor a library plant", why=did_you_mean(name, library_names())
-        )
-    return read_library(name)
 
 
 @app.command()
@@ -72,7 +41,7 @@ def check(plant: PlantName, faults: Faults = None, as_json: Json = False) -> Non
     with guarded(as_json):
         from faultrecon.diagnosis.diagnosis import diagnose
 
-        model = _plant(plant)
+        model = plant_named(plant)
         found = diagnose(model.with_faults(faults) if faults else model)
         answer(as_json, found.as_dict() | {"possible": found.possible}, str(found))
         if not found.possible:
@@ -93,6 +62,14 @@ def design(
     pole_bound: Annotated[
         str, typer.Option(help="No pole to the left of minus this, rad/s; 'auto' from the sample time, or 'none'.")
     ] = "auto",
+    fix: Annotated[
+        Optional[list[str]],  # noqa: UP045 - as above
+        typer.Option("--fix", help="Hold an unknown of the theorem, for example beta=3; repeat for several."),
+    ] = None,
+    free: Annotated[
+        Optional[list[str]],  # noqa: UP045 - as above
+        typer.Option("--free", help="Set an unknown free that the method holds, for example K1."),
+    ] = None,
     as_json: Json = False,
 ) -> None:
     """Find gains, back off, round, prove, and write the design with its certificate."""
@@ -102,7 +79,7 @@ def design(
 
         if out is not None:
             target(out)  # an unsuitable name is refused before the work, not after it
-        model = _plant(plant)
+        model = plant_named(plant)
         with stages("designing") as tell:
             made = make(
                 model,
@@ -111,12 +88,27 @@ def design(
                 level=level,
                 backoff=backoff,
                 pole_bound=_bound(pole_bound),
+                fix=_held(fix or []),
+                free=free or (),
                 progress=tell,
             )
         if out is not None:
             write_design(made, out)
         text = made.report() + (f"\nwrote {out}" if out is not None else "\nnothing written; add --out design.json")
         answer(as_json, made.as_dict() | {"written": None if out is None else str(out)}, text)
+
+
+def _held(pairs: list[str]) -> dict[str, float]:
+    from faultrecon.finding import InputError
+
+    held = {}
+    for pair in pairs:
+        name, _, value = pair.partition("=")
+        try:
+            held[name] = float(value)
+        except ValueError:
+            raise InputError(f"--fix {pair}", why="it is written letter=number, for example beta=3") from None
+    return held
 
 
 def _bound(text: str) -> float | str | None:
@@ -187,7 +179,7 @@ def run(
                 log,
                 out=out,
                 figure=figure,
-                plant=_plant(plant) if plant else None,
+                plant=plant_named(plant) if plant else None,
                 mapping=_mapping(column or []),
                 options={"hold": hold, "scheme": scheme, "sample_time": sample_time, "progress": tell},
             )

@@ -11,7 +11,8 @@ import platform
 import sys
 import threading
 import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import cache, cached_property
 from pathlib import Path
@@ -137,10 +138,22 @@ def _run(program: Program, entry: Path | None) -> Kernels:
     file = f"<{module.__name__}>" if entry is None else str(entry / FILE)
     # The text is what this process generated, never what a file holds.  It is made of `graph.source` statements, whose
     # operations come from a fixed table, whose names are our own and whose numbers are floats: no user text reaches it.
-    with warnings.catch_warnings():
+    with _beside_its_source(), warnings.catch_warnings():
         warnings.simplefilter("ignore")  # that machine code with larger arrays is not kept on disk
         exec(compile(program.text, file, "exec"), vars(module))  # noqa: S102 - see above
     return kernels
+
+
+@contextmanager
+def _beside_its_source() -> Iterator[None]:
+    """Numba keeps machine code beside the source, even where NUMBA_CACHE_DIR names a folder that knows no checksums."""
+    config: Any = importlib.import_module("numba.core.config")  # its names are made at run time
+    before = config.CACHE_DIR
+    config.CACHE_DIR = ""
+    try:
+        yield
+    finally:
+        config.CACHE_DIR = before
 
 
 def _module_name(digest: str) -> str:

@@ -106,14 +106,15 @@ class LipschitzHinf(Method):
         β,  γ2 = unknown("β"), unknown("γ²")
         K1     = unknown("K₁", q, p1)
         H1, H2 = let("H₁", -U*(K1@C1 + C2)), let("H₂", -U*(K1@E1 + E2))                                  # (2.14)
-        Ω      = let("Ω", A.T@P + P@A - C1.T@Z.T - Z@C1 + β*α**2*(Hφ.T@Hφ))                              # (3.2)
+        b      = let("β_U", U**2*β)                                                        # β in the error's unit
+        Ω      = let("Ω", A.T@P + P@A - C1.T@Z.T - Z@C1 + b*α**2*(Hφ.T@Hφ))                              # (3.2)
         lmi_3_1 = sym([[ Ω ,  P@Bφ            , P@B - Z@E1        ,  H1.T ],
-                       [ __, -β*I(Bφ.shape[1]), 0                 ,  0    ],
+                       [ __, -b*I(Bφ.shape[1]), 0                 ,  0    ],
                        [ __,  __              , -γ2*I(B.shape[1]) ,  H2.T ],
                        [ __,  __              , __                , -I(q) ]]) < 0                         # (3.1)
 
         L, K1_ships, γ = unknown("L", n, p1), unknown("K1", q, p1), unknown("γ")
-        also = self.also(P, Ti, α, n)
+        also = self.also(let("P_x", Ui**2*(Ti.T@P@Ti)), α, n)
         noise = given("noise", _noise_columns(plant, np.asarray(N.args[1])))
         return Theorem(
             "3.1",
@@ -136,8 +137,8 @@ class LipschitzHinf(Method):
         )
     # fmt: on
 
-    def also(self, P, Ti, α, n) -> list:
-        """Further inequalities of a variant; none here."""
+    def also(self, P, α, n) -> list:
+        """Further inequalities of a variant, in the P of unscaled states; none here."""
         return []
 
     def observer(self, plant: Plant, gains: Mapping[str, Array]) -> Observer:
@@ -166,10 +167,9 @@ class LipschitzHinfThau(LipschitzHinf):
     variant_of = "lipschitz-hinf"
     reproductions = ()  # those below are of the theorem without (2.10)
 
-    def also(self, P, Ti, α, n) -> list:
-        """(2.10), multiplied by 2α, for the P of unscaled states."""
-        Q = let("P_x", Ti.T @ P @ Ti)
-        return [(sym([[I(n), 2 * α * Q], [__, I(n)]]) > 0).tagged("(2.10)")]
+    def also(self, P, α, n) -> list:
+        """(2.10), multiplied by 2α."""
+        return [(sym([[I(n), 2 * α * P], [__, I(n)]]) > 0).tagged("(2.10)")]
 
 
 def _noise_columns(plant: Plant, N: Array) -> Array:

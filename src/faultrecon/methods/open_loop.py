@@ -28,6 +28,7 @@ from faultrecon.methods.base import (
     lipschitz_scope,
 )
 from faultrecon.numerics.annihilator import left_inverse
+from faultrecon.numerics.hinf import hinf_norm
 from faultrecon.plant.plant import Plant
 
 
@@ -47,7 +48,7 @@ class OpenLoop(Method):
     )
 
     def assumptions(self, plant: Plant) -> list[Finding]:
-        """Additive sensor faults with F of full column rank; a continuous-time plant without unstable or undamped modes."""
+        """Additive sensor faults with F of full column rank; a stable plant that outweighs its nonlinearity."""
         found = additive_sensor_findings(plant) or fault_findings(plant)
         if found:
             return found
@@ -62,7 +63,7 @@ class OpenLoop(Method):
                     see="Khosrowjerdi 2011, section 4",
                 )
             ]
-        return disturbance_findings(plant)
+        return disturbance_findings(plant) + _small_gain(plant)
 
     # fmt: off
     def theorem(self, plant: Plant, scaling: Scaling) -> Theorem:
@@ -75,8 +76,9 @@ class OpenLoop(Method):
         H1, H2 = let("H₁", -U*(s["V"]@Fp@s["C"]@T)), let("H₂", -U*(s["V"]@Fp@s["F_w"]@s["W"]))
         α      = s["α"]
         P, β, γ2, γ = unknown("P", n, n, symmetric=True), unknown("β"), unknown("γ²"), unknown("γ")
-        lmi = sym([[ A.T@P + P@A + β*α**2*(Hφ.T@Hφ), P@Bφ            ,  P@B               ,  H1.T ],
-                   [ __                            , -β*I(Bφ.shape[1]),  0                 ,  0    ],
+        b = let("β_U", U**2*β)
+        lmi = sym([[ A.T@P + P@A + b*α**2*(Hφ.T@Hφ), P@Bφ            ,  P@B               ,  H1.T ],
+                   [ __                            , -b*I(Bφ.shape[1]),  0                 ,  0    ],
                    [ __                            , __              , -γ2*I(B.shape[1])  ,  H2.T ],
                    [ __                            , __              , __                 , -I(q) ]]) < 0
         return Theorem(
@@ -111,3 +113,26 @@ class OpenLoop(Method):
             F=plant.F_f,
             **deviations(plant),
         )
+
+
+def _small_gain(plant: Plant) -> list[Finding]:
+    """α |H (sI - A)⁻¹ G|_∞ < 1 is necessary and sufficient for the inequality to have a solution at some level."""
+    if plant.nonlinearity is None or plant.nonlinearity.constant == 0:
+        return []
+    no_direct = np.zeros((plant.H.shape[0], plant.G.shape[1]))
+    gain = hinf_norm(plant.A, plant.G, plant.H, no_direct)
+    loop = plant.nonlinearity.constant * gain.value
+    if loop < 1:
+        return []
+    return [
+        Finding(
+            "the nonlinearity is too strong for a model that nothing corrects",
+            why=f"α |H (sI - A)⁻¹ G| reaches {loop:.6g} at {gain.frequency:.4g} rad/s, and it has to stay below 1",
+            evidence={"loop gain": loop, "frequency": gain.frequency},
+            remedies=(
+                f"shrink the domain until α is below {1 / gain.value:.6g}",
+                "use a method with feedback, for example lipschitz-hinf",
+            ),
+            see="Khosrowjerdi 2011, section 4, re-derived",
+        )
+    ]

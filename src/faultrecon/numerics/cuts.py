@@ -98,7 +98,7 @@ def frequency_cuts(forms: tuple[Array, Array, Array], m: int, beta: float, g: fl
         z = z[objects, :, 0] * d
         b, h, c = (np.einsum("ki,kij,kj->k", z.conj(), M, z).real for M in forms)
         missing = c - beta * b
-        level = missing / np.maximum(h, 1e-30 * np.abs(missing))
+        level = missing / np.maximum(np.maximum(h, 1e-30 * np.abs(missing)), np.finfo(float).tiny)
         k = int(np.argmax(level))
         if not level[k] > g * (1 + 1e-13):
             break

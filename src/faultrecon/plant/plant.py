@@ -160,7 +160,9 @@ class Plant:
         for name in names:
             if name not in by_name:
                 raise InputError(f"there is no fault '{name}'", why=did_you_mean(name, by_name))
-        return replace(self, faults=tuple(by_name[name] for name in dict.fromkeys(names)))
+            if list(names).count(name) > 1:
+                raise InputError(f"the fault '{name}' is asked for twice")
+        return replace(self, faults=tuple(by_name[name] for name in names))
 
     def reading_all_states(self) -> Plant:
         """The same plant with φ declared to read the whole state: the structure is given away."""

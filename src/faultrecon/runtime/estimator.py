@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The observer at work: one sample at a time, or a whole log, with the same bits either way.
+"""The observer at work: one sample at a time, or a whole log, with the same results either way.
 
 A sample is (t, u, y).  On receiving sample k the estimator carries the observer from t[k-1] to t[k] and then reads off
 the estimate, so it is causal; what u and y did in between is the explicit choice `hold`.
@@ -48,6 +48,7 @@ from faultrecon.runtime.samples import (
 from faultrecon.runtime.stepping import Hold, Prediction, Scheme
 
 COMFORT = 1 / 3  # of the RK4 limit: there |h s| <= 0.93 and one step errs by less than |h s|^5/120 = 0.6 % of a mode
+WORTHWHILE = 32  # plain rows: going from the general engine to the compiled one and back costs as much as 40 of them
 BLOCK = 65_536  # rows between two reports of progress: 5 ms of compiled work
 
 
@@ -217,7 +218,7 @@ class Estimator:
         """A whole log: t (N,), u (N, m), y (N, p), absolute; the same as `step`, sample by sample.
 
         x: as in `init`.  progress is told now and then which part of the work is done, 0 to 1.  The bits are those of
-        `step` with the same engine; between engines they differ by no more than their mathematical libraries do.
+        `step`, if the engines' sin, cos, ... are: they run the same instructions, each with a library of its own.
         """
         o, tell = self.observer, progress or _silent
         t, u, y = checked_log(t, u, y, len(o.u0), len(o.y0))
@@ -247,7 +248,7 @@ class Estimator:
         return Trace(t.copy(), fault, state, corrected, ok, State(row, self._layout))
 
     def _plain_rows(self, t: Array, u: Array, y: Array) -> NDArray[np.intp]:
-        """The rows that the compiled kernel can take, if there is one, and N at their end."""
+        """The rows that the compiled kernel is to take, if there is one, and N at their end."""
         rows = len(t)
         if self._chosen.many is None:
             return np.array([rows])
@@ -257,6 +258,9 @@ class Estimator:
         plain[1:] &= self._general.is_regular(np.diff(t), t[1:])
         if self.hold == "left":
             plain[1:] &= complete[:-1]
+        edges = np.flatnonzero(np.diff(plain, prepend=False, append=False))
+        for start, end in edges.reshape(-1, 2)[np.diff(edges)[::2] < WORTHWHILE]:
+            plain[start:end] = False
         return np.append(np.flatnonzero(plain), rows)
 
 

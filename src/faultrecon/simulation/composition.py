@@ -14,6 +14,7 @@ The shapes themselves are in `shapes` and, drawn by chance, in `chance`.
 from __future__ import annotations
 
 import math
+from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -36,12 +37,12 @@ class Bounded:
 
 
 @dataclass(frozen=True)
-class Shape:
+class Shape(ABC):
     """A waveform.  A subclass says its values for times >= 0 of its own clock; it is zero before."""
 
+    @abstractmethod
     def values(self, t: Array, reading: Reading) -> Array:
         """The values at times of its own clock, (N,); `reading` is what the signal would be without the fault."""
-        raise NotImplementedError
 
     def edges(self, end: float) -> tuple[float, ...]:
         """Times in (0, end) at which the values jump or kink."""
@@ -83,8 +84,8 @@ class Shape:
         """Times at which a reading has to be remembered."""
         return ()
 
-    def remembering(self, values: dict[float, float], start: float = 0.0) -> Shape:
-        """The same shape with the readings remembered, by absolute time of their onset."""
+    def remembering(self, value: float, onset: float) -> Shape:
+        """The same shape with the reading at one of its `onsets` remembered."""
         return self
 
     # ------------------------------------------------------------ composition
@@ -139,8 +140,8 @@ class Sum(Shape):
     def onsets(self) -> tuple[float, ...]:
         return tuple(s for part in self.parts for s in part.onsets())
 
-    def remembering(self, values: dict[float, float], start: float = 0.0) -> Shape:
-        return Sum(tuple(part.remembering(values, start) for part in self.parts))
+    def remembering(self, value: float, onset: float) -> Shape:
+        return Sum(tuple(part.remembering(value, onset) for part in self.parts))
 
 
 @dataclass(frozen=True)
@@ -154,7 +155,16 @@ class Shifted(Shape):
         return np.asarray(self.shape(t - self.start, reading))
 
     def edges(self, end: float) -> tuple[float, ...]:
-        return tuple(self.start + s for s in self.shape.breakpoints(max(end - self.start, 0.0)))
+        return tuple(self._outer(np.array(self.shape.breakpoints(max(end - self.start, 0.0)))).tolist())
+
+    def _outer(self, inner: Array) -> Array:
+        """The first floats t with t - start >= inner: start + inner may be one rounding off, and an edge must not."""
+        t = self.start + inner
+        for _ in range(2):
+            t = np.where(t - self.start < inner, np.nextafter(t, np.inf), t)
+            before = np.nextafter(t, -np.inf)
+            t = np.where(before - self.start >= inner, before, t)
+        return t
 
     @property
     def bounded(self) -> Bounded:
@@ -171,10 +181,11 @@ class Shifted(Shape):
         return Shifted(self.shape.seeded(stream), self.start)
 
     def onsets(self) -> tuple[float, ...]:
-        return tuple(self.start + s for s in self.shape.onsets())
+        return tuple(self._outer(np.array(self.shape.onsets())).tolist())
 
-    def remembering(self, values: dict[float, float], start: float = 0.0) -> Shape:
-        return Shifted(self.shape.remembering(values, start + self.start), self.start)
+    def remembering(self, value: float, onset: float) -> Shape:
+        inner = {float(self._outer(np.array(s))): s for s in self.shape.onsets()}
+        return Shifted(self.shape.remembering(value, inner[onset]), self.start) if onset in inner else self
 
 
 @dataclass(frozen=True)
@@ -213,8 +224,8 @@ class Windowed(Shape):
     def onsets(self) -> tuple[float, ...]:
         return self.shape.onsets()
 
-    def remembering(self, values: dict[float, float], start: float = 0.0) -> Shape:
-        return Windowed(self.shape.remembering(values, start), self.start, self.end)
+    def remembering(self, value: float, onset: float) -> Shape:
+        return Windowed(self.shape.remembering(value, onset), self.start, self.end)
 
 
 def _time(what: str, t: float) -> float:

@@ -191,8 +191,8 @@ class Stuck(Shape):
     def onsets(self) -> tuple[float, ...]:
         return (0.0,) if self.value is None else ()
 
-    def remembering(self, values: dict[float, float], start: float = 0.0) -> Shape:
-        return replace(self, value=values.get(start)) if self.value is None else self
+    def remembering(self, value: float, onset: float) -> Shape:
+        return replace(self, value=value) if self.value is None and onset == 0.0 else self
 
 
 @dataclass(frozen=True)

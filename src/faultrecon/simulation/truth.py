@@ -163,7 +163,7 @@ def _remembered(s: Schedule) -> Schedule:
             value = _healthy(s.plant, x, u, _values(s.disturbances, at))[0, s.plant.signals.y.index(name)]
         else:
             value = u[0, s.plant.signals.u.index(next(k for k, c in channel.on.items() if c))]
-        told = s.faults[j].remembering({onset: float(value)})
+        told = s.faults[j].remembering(float(value), onset)
         s = replace(s, faults=(*s.faults[:j], told, *s.faults[j + 1 :]))
 
 
@@ -190,12 +190,13 @@ def _F(plant: Plant) -> Array:
 
 def _states(s: Schedule, t: Array, inside: bool = False) -> Array:
     """Absolute states at increasing times t (N,) from t[0] = 0 on: (N, n)."""
-    if s.plant.sample_time is not None:
-        x = _sampled(s)[np.searchsorted(s.t, t, side="right") - 1]
-    elif s.plant.nonlinearity is None and s.plant.known is None:
-        x = _linear(s, t)
-    else:
-        x = _nonlinear(s, t, inside)
+    with np.errstate(over="ignore", invalid="ignore"):  # a plant that diverges is told below
+        if s.plant.sample_time is not None:
+            x = _sampled(s)[np.searchsorted(s.t, t, side="right") - 1]
+        elif s.plant.nonlinearity is None and s.plant.known is None:
+            x = _linear(s, t)
+        else:
+            x = _nonlinear(s, t, inside)
     if not np.isfinite(x).all():
         k = int(np.argmin(np.isfinite(x).all(axis=1)))
         raise Inconclusive(f"the plant diverges at t = {t[k]:g} s", remedies=("shorten the scenario",))
@@ -312,7 +313,6 @@ def _sampled(s: Schedule) -> Array:
     plant, x0, rhs = s.plant, np.array(s.plant.point.x), _right_hand_side(s)
     x = np.empty((len(s.t), plant.n))
     x[0] = s.x0
-    with np.errstate(over="ignore", invalid="ignore"):
-        for k, t in enumerate(s.t[:-1]):
-            x[k + 1] = x0 + rhs(float(t), x[k])
+    for k, t in enumerate(s.t[:-1]):
+        x[k + 1] = x0 + rhs(float(t), x[k])
     return x

@@ -13,7 +13,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from faultrecon.finding import Inconclusive
+from faultrecon.finding import Impossible, Inconclusive
 from faultrecon.lmi.solve import Outcome
 from faultrecon.lmi.walk import value_of
 from faultrecon.numerics.level import LevelSolution, optimal_level
@@ -32,17 +32,22 @@ def applies(posed: Posed) -> bool:
 
 
 def optimum(posed: Posed) -> LevelSolution | None:
-    """The optimum without a pole bound; None where the route does not apply.  Raises Impossible when there is none."""
+    """The optimum without a pole bound; None where the route does not apply.  Impossible when a large plant has none."""
     form = posed.theorem.filter
     if form is None or not applies(posed):
         return None
-    beta = posed.fixed.get("β")
+    beta, unit = posed.fixed.get("β"), posed.theorem.unit
     try:
-        found = optimal_level(**_arrays(posed), beta=None if beta is None else float(np.asarray(beta).item()))
+        held = None if beta is None else unit**2 * float(np.asarray(beta).item())
+        found = optimal_level(**_arrays(posed), beta=held)
     except Inconclusive:
         return None
-    unit = posed.theorem.unit
-    return replace(found, gamma=found.gamma / unit, lower=found.lower / unit)
+    except Impossible:
+        if posed.plant.n >= LARGE:
+            raise
+        return None  # the program will say so too, and which block is to blame
+    beta = None if found.beta is None else found.beta / unit**2
+    return replace(found, gamma=found.gamma / unit, lower=found.lower / unit, beta=beta)
 
 
 def gains(posed: Posed, level: float, beta: float | None, best: float) -> Outcome:
@@ -50,8 +55,9 @@ def gains(posed: Posed, level: float, beta: float | None, best: float) -> Outcom
     inside = math.sqrt(best * level)
     arrays, unit = _arrays(posed), posed.theorem.unit
     # A gain for a little less than the level leaves the multiplier room: its own P is the boundary of the inequality.
-    found = central_gain(**arrays, beta=beta, gamma=unit * inside)
-    P = None if found is None else strict_multiplier(**arrays, beta=beta, gamma=unit * level, L=found.L)
+    scaled = None if beta is None else unit**2 * beta
+    found = central_gain(**arrays, beta=scaled, gamma=unit * inside)
+    P = None if found is None else strict_multiplier(**arrays, beta=scaled, gamma=unit * level, L=found.L)
     if found is None or P is None:
         return Outcome("unknown", solver="Riccati equation: no stabilising solution")
     # Without a nonlinearity β stands in an empty block and in β > 0 alone.

@@ -1,0 +1,107 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""The verbs that try things out: simulate, compare, reproduce."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any, Optional
+
+import typer
+
+from faultrecon.cli.root import Json, PlantName, app, plant_named
+from faultrecon.cli.shell import NEGATIVE, answer, bar, guarded, stages
+
+Signals = Optional[list[str]]  # noqa: UP045 - typer reads the annotation at run time
+Path_ = Optional[Path]  # noqa: UP045 - as above
+
+FAULT = typer.Option("--fault", help="NAME:SHAPE:key=value,... for example pitch_rate:ramp:size=0.04,over=20,at=5.")
+INPUT = typer.Option("--input", help="An input's deviation, written like a fault.")
+DISTURBANCE = typer.Option("--disturbance", help="A disturbance, written like a fault; 'noise' is a shape too.")
+
+
+def _scenario(
+    faults: list[str] | None,
+    inputs: list[str] | None,
+    disturbances: list[str] | None,
+    options: dict[str, Any],
+) -> Any:
+    from faultrecon.cli.simulating import scenario_from
+
+    given = {key: value for key, value in options.items() if value is not None}
+    return scenario_from(faults or [], inputs or [], disturbances or [], **given)
+
+
+@app.command()
+def simulate(
+    name: Annotated[str, typer.Argument(metavar="DESIGN", help="A design file (.json), or a plant to design for.")],
+    method: Annotated[str, typer.Option("--method", "-m", help="Method, when a plant is given.")] = "lipschitz-hinf",
+    faults: Annotated[Signals, FAULT] = None,
+    inputs: Annotated[Signals, INPUT] = None,
+    disturbances: Annotated[Signals, DISTURBANCE] = None,
+    duration: Annotated[Optional[float], typer.Option(help="Seconds.")] = None,  # noqa: UP045 - as above
+    sample_time: Annotated[Optional[float], typer.Option(help="Seconds.")] = None,  # noqa: UP045 - as above
+    noise: Annotated[bool, typer.Option(help="Whether the declared sensor noise acts.")] = True,
+    seed: Annotated[int, typer.Option(help="Every random signal follows from it.")] = 0,
+    out: Annotated[Path_, typer.Option("--out", "-o", help="Where to write the run (.csv, .parquet).")] = None,
+    figure: Annotated[Path_, typer.Option(help="Where to draw it (.png, .pdf, .svg).")] = None,
+    as_json: Json = False,
+) -> None:
+    """Let a fault happen in the plant and see what the design makes of it."""
+    with guarded(as_json):
+        from faultrecon.cli.simulating import run_simulation
+
+        options = {"duration": duration, "sample_time": sample_time, "noise": noise, "seed": seed}
+        scenario = _scenario(faults, inputs, disturbances, options)
+        if name.lower().endswith(".json"):
+            from faultrecon.io.designfile import read_design
+
+            design = read_design(name)
+        else:
+            from faultrecon.synthesis.pipeline import design as make
+
+            with stages("designing") as tell_stage:
+                design = make(plant_named(name), method, progress=tell_stage)
+        with bar("simulating") as tell:
+            data, text = run_simulation(design, scenario, out=out, figure=figure, progress=tell)
+        answer(as_json, data, text)
+
+
+@app.command()
+def compare(
+    plant: PlantName,
+    methods: Annotated[Signals, typer.Option("--method", "-m", help="Repeat for several; all by default.")] = None,
+    faults: Annotated[Signals, FAULT] = None,
+    inputs: Annotated[Signals, INPUT] = None,
+    disturbances: Annotated[Signals, DISTURBANCE] = None,
+    duration: Annotated[Optional[float], typer.Option(help="Seconds.")] = None,  # noqa: UP045 - as above
+    seed: Annotated[int, typer.Option(help="Every random signal follows from it.")] = 0,
+    as_json: Json = False,
+) -> None:
+    """Put methods side by side on one plant and one scenario; each fault in turn when none is given."""
+    with guarded(as_json):
+        from faultrecon.cli.simulating import run_comparison
+
+        chosen = None
+        if faults or inputs or disturbances:
+            chosen = _scenario(faults, inputs, disturbances, {"duration": duration, "seed": seed})
+        with bar("comparing") as tell:
+            data, text = run_comparison(plant_named(plant), methods or None, chosen, tell)
+        answer(as_json, data, text)
+
+
+@app.command()
+def reproduce(
+    key: Annotated[str, typer.Argument(metavar="PAPER", help="For example khosrowjerdi2011.")],
+    out: Annotated[Path_, typer.Option("--out", "-o", help="Folder for the figures.")] = None,
+    seed: Annotated[int, typer.Option(help="Seed of the noisy rows.")] = 0,
+    as_json: Json = False,
+) -> None:
+    """Compute the tables of a paper again: printed value, ours, status and reason."""
+    with guarded(as_json):
+        from faultrecon.cli.simulating import run_reproduction
+
+        with stages(f"reproducing {key}") as tell:
+            data, text, fine = run_reproduction(key, out, seed, tell)
+        answer(as_json, data, text)
+        if not fine:
+            raise SystemExit(NEGATIVE)
