@@ -194,7 +194,8 @@ def test_units_of_the_states_change_nothing() -> None:
 
 
 def test_a_conic_solver_finds_the_same_level() -> None:
-    cp = pytest.importorskip("cvxpy")
+    import cvxpy as cp
+
     A, Bf, B, C1, E1, H1, H2, G, alpha = problem = random_problem(4, 1)
     n, m, w, q = 4, 2, B.shape[1], H1.shape[0]
     P, Z = cp.Variable((n, n), symmetric=True), cp.Variable((n, C1.shape[0]))

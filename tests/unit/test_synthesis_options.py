@@ -18,7 +18,9 @@ PLANT = read_library("lipschitz_polynomial")
 
 
 def test_a_level_below_the_floor_is_refused_with_both_numbers():
-    with pytest.raises(Impossible, match=r"γ = 0\.3 is below 0\.58732\d, the best any estimator can guarantee") as caught:
+    with pytest.raises(
+        Impossible, match=r"γ = 0\.3 is below 0\.58732\d, the best any estimator can guarantee"
+    ) as caught:
         design(PLANT, level=0.3)
     assert caught.value.finding.evidence == {"level": 0.3, "floor": reconstruction_floor(PLANT).value}
 

@@ -3,10 +3,13 @@
 
 from __future__ import annotations
 
+import pkgutil
+from importlib import import_module
 from typing import Any
 
 from typer.main import get_command
 
+from faultrecon import cli
 from faultrecon.cli.app import app
 from faultrecon_docs.text import code, page, prose, table
 
@@ -14,7 +17,9 @@ EXIT = {0: "fine", 1: "a negative finding", 2: "wrong usage or file", 3: "inconc
 
 
 def verbs() -> dict[str, Any]:
-    """The commands by name, in the order of the program."""
+    """The commands by name, in the order in which they register."""
+    for module in pkgutil.iter_modules(cli.__path__):
+        import_module(f"{cli.__name__}.{module.name}")
     return dict(get_command(app).commands)  # type: ignore[attr-defined]  # a group has commands
 
 
@@ -39,11 +44,11 @@ def _verb(name: str, command: Any) -> str:
     options = [p for p in command.params if p.param_type_name == "option" and "--help" not in p.opts]
     usage = " ".join(_usage(p) for p in arguments)
     rows = [[code(_title(p)), _default(p), prose(p.help or "")] for p in arguments]
-    rows += [[code(", ".join(p.opts)), _default(p), prose(p.help or "")] for p in options]
+    rows += [[code(", ".join([*p.opts, *p.secondary_opts])), _default(p), prose(p.help or "")] for p in options]
     return page(
         f"## faultrecon {name}",
         prose(command.help or ""),
-        f"```text\nfaultrecon {name} {usage} [options]\n```",
+        f"```text\n{' '.join(filter(None, ('faultrecon', name, usage, '[options]')))}\n```",
         table(["argument or option", "default", "meaning"], rows),
     )
 

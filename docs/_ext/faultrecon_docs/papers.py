@@ -78,7 +78,7 @@ def paper_page(
         *_printed(method, warn),
         notes,
         *_variants(method),
-        *_further(numbers),
+        *_further(method.paper.key, numbers),
         figures,
     )
 
@@ -301,13 +301,14 @@ def _answer(plant: str, method: Method) -> str:
         return "the solver cannot tell"
 
 
-def _further(numbers: Sequence[Comparison]) -> list[str]:
+def _further(key: str, numbers: Sequence[Comparison]) -> list[str]:
     if not numbers:
         return []
     rows = [row for comparison in numbers for row in comparison.rows]
     good = sum(row.agrees for row in rows)
     parts = [
         f"## {FURTHER}",
+        f"```bash\nfaultrecon reproduce {key}\n```",
         f"{good} of {len(rows)} numbers agree with our references within the tolerances stated. *Predicted* is what"
         " theory says about a number that depends on random noise; the computed one is then compared with it.",
     ]

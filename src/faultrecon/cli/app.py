@@ -15,7 +15,6 @@ from faultrecon.cli.shell import NEGATIVE, answer, bar, guarded, speak_any_lette
 
 def run_app() -> None:
     """Run the command line."""
-    import_module("faultrecon.cli.trying")  # registers its verbs
     speak_any_letter()
     app()
 
@@ -264,3 +263,6 @@ def doctor(as_json: Json = False) -> None:
         answer(as_json, found.as_dict(), str(found))
         if not found.fine:
             raise SystemExit(NEGATIVE)
+
+
+import_module("faultrecon.cli.trying")  # registers its verbs, after these

@@ -45,8 +45,16 @@ def frequency_response(A: ArrayLike, B: ArrayLike, C: ArrayLike, D: ArrayLike, w
     finite = np.isfinite(w)
     if A.shape[0] and B.shape[1] and C.shape[0] and finite.any():
         with np.errstate(invalid="ignore", over="ignore"):
-            G[finite] += C @ _resolvent(A, B, w[finite])
+            for part in _portions(np.flatnonzero(finite), A.shape[0]):
+                G[part] += C @ _resolvent(A, B, w[part])
     return G
+
+
+def _portions(indices: NDArray[np.intp], n: int) -> list[NDArray[np.intp]]:
+    """The indices in turns of which each fills about a megabyte with (n, n) matrices: a thousand at once, at n = 160,
+    would spend more time on fetching memory than on arithmetic."""
+    at_once = max(1, 2**16 // max(n * n, 1))
+    return [indices[k : k + at_once] for k in range(0, indices.size, at_once)]
 
 
 def hinf_norm(A: ArrayLike, B: ArrayLike, C: ArrayLike, D: ArrayLike, *, rtol: float = 1e-9) -> Peak:
@@ -158,8 +166,11 @@ def _sensitivity(A: Array, w: Array) -> Array:
     n = A.shape[0]
     if n == 0:
         return np.full(w.size, np.finfo(float).eps)
-    sigma = np.linalg.svd(1j * np.where(np.isfinite(w), w, 0.0)[:, None, None] * np.eye(n) - A, compute_uv=False)
-    condition = sigma[:, 0] / np.maximum(sigma[:, -1], 1e-300)
+    condition = np.empty(w.size)
+    for part in _portions(np.arange(w.size), n):
+        s = 1j * np.where(np.isfinite(w[part]), w[part], 0.0)
+        sigma = np.linalg.svd(s[:, None, None] * np.eye(n) - A, compute_uv=False)
+        condition[part] = sigma[:, 0] / np.maximum(sigma[:, -1], 1e-300)
     return np.finfo(float).eps * np.where(np.isfinite(w), condition, 1.0)
 
 

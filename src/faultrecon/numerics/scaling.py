@@ -8,6 +8,7 @@ size.  Powers of two lose no bits: the scaled model is the same model.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -44,9 +45,9 @@ def state_scaling(A: ArrayLike, B: ArrayLike, C: ArrayLike, ranges: ArrayLike | 
     n = A.shape[0]
     fixed, declared = _declared(ranges, n)
     gauge = _gauge(A, B, C, fixed, declared)
-    links = _links(*scale_states(A, B, C, gauge))
-    fitted = _balance(links, n, free=~declared)
-    exponents = gauge + np.where(declared, 0, np.rint(fitted)).astype(np.int64)
+    fitted = np.zeros(n)
+    fitted[~declared] = _balance(_links(*scale_states(A, B, C, gauge), free=~declared))
+    exponents = gauge + np.rint(fitted).astype(np.int64)
     return np.clip(exponents, -LARGEST_EXPONENT, LARGEST_EXPONENT)
 
 
@@ -91,64 +92,92 @@ def _gauge(A: Array, B: Array, C: Array, fixed: NDArray[np.int64], declared: NDA
     return e
 
 
-def _links(A: Array, B: Array, C: Array) -> tuple[NDArray[np.intp], NDArray[np.intp], Array]:
-    """Every entry a change of units moves, as (row, column, log2 size); row or column n stands for the outside."""
+@dataclass(frozen=True, slots=True)
+class Links:
+    """Every entry that a change of units moves, as an arrow between two free states or a state and the outside.
+
+    from_, to: (k,) indices of the free states, `count` stands for whatever has its unit fixed.  size: (k,) log2 sizes.
+    An entry changes by 2^(z_to - z_from), so all sums below are over a graph and none needs the (k, count) matrix.
+    """
+
+    from_: NDArray[np.intp]
+    to: NDArray[np.intp]
+    size: Array
+    count: int
+
+    def sizes(self, z: Array) -> Array:
+        """log2 sizes (k,) in the units z (count,)."""
+        return self.change(z) + self.size
+
+    def change(self, z: Array) -> Array:
+        """z_to - z_from for every arrow (k,)."""
+        padded = np.append(z, 0.0)
+        return padded[self.to] - padded[self.from_]
+
+    def pull(self, force: Array) -> Array:
+        """The transpose of `change`: what forces (k,) along the arrows add up to at every state (count,)."""
+        arriving = np.bincount(self.to, force, self.count + 1)
+        return (arriving - np.bincount(self.from_, force, self.count + 1))[: self.count]
+
+    def laplacian(self, weight: Array) -> Array:
+        """The matrix (count, count) of z -> pull(weight * change(z))."""
+        n = self.count + 1
+        joined = np.bincount(self.from_ * n + self.to, weight, n * n).reshape(n, n)
+        joined = joined + joined.T
+        return (np.diag(joined.sum(axis=1)) - joined)[: self.count, : self.count]
+
+
+def _links(A: Array, B: Array, C: Array, free: NDArray[np.bool_]) -> Links:
+    """The entries of a model as arrows from their row to their column."""
     n = A.shape[0]
     ai, aj = np.nonzero(A * (1 - np.eye(n)))
     bi, bj = np.nonzero(B)
     ci, cj = np.nonzero(C)
+    outside = int(np.count_nonzero(free))
+    place = np.append(np.where(free, np.cumsum(free) - 1, outside), outside)
     rows = np.concatenate([ai, bi, np.full(ci.size, n)])
     cols = np.concatenate([aj, np.full(bi.size, n), cj])
     size = np.concatenate([np.abs(A[ai, aj]), np.abs(B[bi, bj]), np.abs(C[ci, cj])])
-    return rows, cols, np.log2(size)
+    return Links(place[rows], place[cols], np.log2(size), outside)
 
 
-def _balance(links: tuple[NDArray[np.intp], NDArray[np.intp], Array], n: int, free: NDArray[np.bool_]) -> Array:
+def _balance(links: Links) -> Array:
     """Real exponents minimising sum_ij |entry| 2^(e_col - e_row) with a weak pull to the robust logarithmic fit."""
-    rows, cols, size = links
-    e = np.zeros(n)
-    if not free.any() or size.size == 0:
-        return e
-    D = np.zeros((size.size, n + 1))
-    k = np.arange(size.size)
-    np.add.at(D, (k, cols), 1.0)
-    np.add.at(D, (k, rows), -1.0)
-    D = D[:, :n][:, free]
-    fit = _logarithmic_fit(D, size)
-    weight = 1e-3 * float(np.mean(np.exp2(D @ fit + size)))
-    e[free] = _minimise(D, size, fit, weight)
-    return e
+    if links.count == 0 or links.size.size == 0:
+        return np.zeros(links.count)
+    fit = _logarithmic_fit(links)
+    return _minimise(links, fit, weight=1e-3 * float(np.mean(np.exp2(links.sizes(fit)))))
 
 
-def _logarithmic_fit(D: Array, size: Array) -> Array:
-    """The exponents z that bring log2 sizes D z + size near 0: quadratic for small ones, linear beyond 2**4.
+def _logarithmic_fit(links: Links) -> Array:
+    """The exponents z that bring all log2 sizes near 0: quadratic for small ones, linear beyond 2**4.
 
     Sizes below 1 weigh a quarter: an entry of 1e-17 is rounding noise and may stay small, one of 1e17 may not stay.
     """
-    z = np.zeros(D.shape[1])
+    z = np.zeros(links.count)
     for _ in range(60):
-        t = D @ z + size
+        t = links.sizes(z)
         w = np.where(t > 0, 1.0, 0.25) / np.sqrt(1.0 + (t / 4.0) ** 2)
         # A group linked to nothing makes the normal matrix singular; lstsq then keeps its exponents small.
-        step = np.linalg.lstsq(D.T @ (w[:, None] * D), -D.T @ (w * t), rcond=1e-12)[0]
+        step = np.linalg.lstsq(links.laplacian(w), -links.pull(w * t), rcond=1e-12)[0]
         z = z + step
         if np.abs(step).max() <= 1e-2:  # a hundredth of an exponent is below the rounding to come
             break
     return z
 
 
-def _minimise(D: Array, size: Array, fit: Array, weight: float) -> Array:
-    """Damped Newton on the convex sum_k 2^(D z + size)_k + weight/2 |D (z - fit)|^2, a handful of steps in practice."""
-    laplacian = D.T @ D
+def _minimise(links: Links, fit: Array, weight: float) -> Array:
+    """Damped Newton on the convex sum_k 2^size_k(z) + weight/2 |change(z - fit)|^2, a handful of steps in practice."""
+    stiffness = links.laplacian(np.full(links.size.size, weight))
 
     def cost(z: Array) -> float:
-        return float(np.exp2(D @ z + size).sum() + 0.5 * weight * np.sum((D @ (z - fit)) ** 2))
+        return float(np.exp2(links.sizes(z)).sum() + 0.5 * weight * np.sum(links.change(z - fit) ** 2))
 
     z, value = fit, cost(fit)
     for _ in range(100):
-        terms = np.exp2(D @ z + size) * np.log(2.0)
-        gradient = D.T @ terms + weight * laplacian @ (z - fit)
-        hessian = D.T @ (np.log(2.0) * terms[:, None] * D) + weight * laplacian
+        terms = np.exp2(links.sizes(z)) * np.log(2.0)
+        gradient = links.pull(terms) + stiffness @ (z - fit)
+        hessian = links.laplacian(np.log(2.0) * terms) + stiffness
         step = -np.linalg.lstsq(hessian, gradient, rcond=1e-13)[0]
         step *= min(1.0, 8.0 / max(float(np.abs(step).max()), 1e-300))
         while (trial := cost(z + step)) > value and np.abs(step).max() > 1e-6:

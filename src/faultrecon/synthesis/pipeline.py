@@ -156,13 +156,20 @@ def _options(backoff: float, level: float | None) -> None:
 
 
 def _checked_optimum(posed: Posed, by_riccati: LevelSolution | None) -> tuple[float, tuple[str, ...]]:
-    """The optimum by both routes where both apply: the Riccati value, and a note when the solver's differs."""
+    """The optimum by both routes where both apply; the Riccati value, unless its own bounds are apart.
+
+    The Riccati search ends with a level that was reached and one that cannot be; a solver gives one number.  Where they
+    do not meet, the better founded one is quoted with a note.
+    """
     outcome = posed.optimum()
     if by_riccati is None:
         return _level(outcome, posed), ()
+    settled = by_riccati.gamma <= (1.0 + AGREEMENT) * by_riccati.lower
     if not outcome.solved:
         return by_riccati.gamma, (f"the optimum is by the Riccati route; the solver's word was '{outcome.solver}'",)
     by_solver = _level(outcome, posed)
+    if not settled:
+        return by_solver, ()
     if abs(by_solver - by_riccati.gamma) > AGREEMENT * by_riccati.gamma:
         return by_riccati.gamma, (f"two routes to the optimum disagree: {by_riccati.gamma:.9g} and {by_solver:.9g}",)
     return by_riccati.gamma, ()
