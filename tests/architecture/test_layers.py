@@ -294,7 +294,7 @@ def test_functions_are_short(path):
             assert length < 60 or f"{path}:{node.name}" in LONG_FUNCTIONS, f"{path}:{node.name} has {length} lines"
 
 
-@pytest.mark.parametrize("path", sorted((ROOT.parents[1] / "tests").rglob("*.py")), ids=lambda p: p.name)
+@pytest.mark.parametrize("path", sorted(Path(__file__).parents[1].rglob("*.py")), ids=lambda p: p.name)
 def test_tests_are_licensed_and_none_is_skipped(path):
     text = path.read_text(encoding="utf-8")
     assert text.startswith("# SPDX-License-Identifier: BSD-3-Clause\n")

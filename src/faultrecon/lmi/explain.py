@@ -17,6 +17,8 @@ from faultrecon.lmi.expr import Expr, Inequality, show
 from faultrecon.lmi.problem import Problem
 from faultrecon.lmi.solve import Outcome, solve
 
+STRICT = 1e-6
+"""How far inside its scaled inequality a block has to get: else P = 0 would pass for P > 0."""
 NAMED = 3
 """How many blocks a sentence names; all of them are in `shares`."""
 
@@ -46,7 +48,7 @@ def explain(problem: Problem, outcome: Outcome) -> Obstruction:
         for label, block in diagonal_blocks(inequality):
             rest = [other for j, other in enumerate(problem.inequalities) if j != k]
             part = Problem([Inequality(block, inequality.sense), *rest], None, _known(problem, [block, *_exprs(rest)]))
-            if solve(part).status == "infeasible":
+            if solve(part, margin=STRICT).status == "infeasible":
                 alone.append(label)
     return Obstruction(tuple(alone), _shares(problem.inequalities, outcome.duals))
 

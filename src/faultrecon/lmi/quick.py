@@ -99,10 +99,12 @@ def positive_definite(ball: Ball) -> bool:
     n = ball.mid.shape[0]
     if n == 0:
         return True
+    if not (np.all(np.isfinite(ball.mid)) and np.all(np.isfinite(ball.radius))):
+        return False
     mid, radius = 0.5 * (ball.mid + ball.mid.T), np.maximum(ball.radius, ball.radius.T)
     radius = radius + np.abs(ball.mid - mid) + U * np.abs(mid)
     diagonal = np.diag(mid)
-    if not (np.all(np.isfinite(mid)) and np.all(np.isfinite(radius)) and np.all(diagonal > 0)):
+    if not np.all(diagonal > 0):
         return False
     # A diagonal congruence by powers of two is exact and brings the diagonal near one.
     d = np.exp2(-np.round(0.5 * np.log2(diagonal)))

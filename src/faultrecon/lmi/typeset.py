@@ -47,15 +47,22 @@ def latex(node: Expr, tight: bool = False) -> str:
         case "zero":
             return "0"
         case "T" | "inv":
-            inner = node.args[0]
             power = r"\top" if node.op == "T" else "-1"
-            text = latex(inner, True)
+            text = latex(node.args[0], True)
+            if text.endswith("^{-1}") and node.op == "T":
+                return text.removesuffix("^{-1}") + r"^{-\top}"
             return f"{{{text}}}^{{{power}}}" if "^" in text and not text.startswith("(") else f"{text}^{{{power}}}"
         case "matmul":
             text = f"{latex(node.args[0], True)} {latex(node.args[1], True)}"
             return f"({text})" if tight and "block" in (node.args[0].op, node.args[1].op) else text
         case "scale":
-            return f"{latex(node.args[0], True)} {latex(node.args[1], True)}"
+            left, right = (latex(a, True) for a in node.args)
+            if left == right:  # a scalar times itself
+                return f"{{{left}}}^{{2}}" if "^" in left else f"{left}^{{2}}"
+            if node.args[0].op == "neg":  # -β I, not (-β) I
+                text = f"-{latex(node.args[0].args[0], True)} {right}"
+                return f"({text})" if tight else text
+            return f"{left} {right}"
         case "neg":
             text = f"-{latex(node.args[0], True)}"
         case "add":
