@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from importlib import import_module
 from pathlib import Path
-from typing import Annotated, Optional
+from typing import Annotated
 
 import typer
 
@@ -52,21 +52,21 @@ def design(
     plant: PlantName,
     method: Annotated[str, typer.Option("--method", "-m", help="See `faultrecon methods`.")] = "lipschitz-hinf",
     out: Annotated[
-        Optional[Path],  # noqa: UP045 - typer reads the annotation at run time
+        Path | None,
         typer.Option("--out", "-o", help="Where to write the design file (.json)."),
     ] = None,
     faults: Faults = None,
-    level: Annotated[Optional[float], typer.Option(help="The level γ to aim at.")] = None,  # noqa: UP045 - as above
+    level: Annotated[float | None, typer.Option(help="The level γ to aim at.")] = None,
     backoff: Annotated[float, typer.Option(help="How far above the optimum to stay, relative.")] = 0.05,
     pole_bound: Annotated[
         str, typer.Option(help="No pole to the left of minus this, rad/s; 'auto' from the sample time, or 'none'.")
     ] = "auto",
     fix: Annotated[
-        Optional[list[str]],  # noqa: UP045 - as above
+        list[str] | None,
         typer.Option("--fix", help="Hold an unknown of the theorem, for example beta=3; repeat for several."),
     ] = None,
     free: Annotated[
-        Optional[list[str]],  # noqa: UP045 - as above
+        list[str] | None,
         typer.Option("--free", help="Set an unknown free that the method holds, for example K1."),
     ] = None,
     as_json: Json = False,
@@ -148,22 +148,22 @@ def run(
     file: Annotated[str, typer.Argument(metavar="DESIGN", help="A design file (.json).")],
     log: Annotated[str, typer.Argument(help="A recorded log (.csv or .parquet).")],
     out: Annotated[
-        Optional[Path],  # noqa: UP045 - typer reads the annotation at run time
+        Path | None,
         typer.Option("--out", "-o", help="Where to write faults, corrected measurements and flags (.csv, .parquet)."),
     ] = None,
     figure: Annotated[
-        Optional[Path],  # noqa: UP045 - as above
+        Path | None,
         typer.Option(help="Where to draw the reconstruction (.png, .pdf, .svg)."),
     ] = None,
     plant: Annotated[str, typer.Option(help="The plant file the design has to belong to.")] = "",
     hold: Annotated[str, typer.Option(help="Samples in between: left, midpoint or linear.")] = "linear",
     scheme: Annotated[str, typer.Option(help="Integration: auto, zoh or rk4.")] = "auto",
     sample_time: Annotated[
-        Optional[float],  # noqa: UP045 - as above
+        float | None,
         typer.Option(help="Seconds; the log's median interval by default."),
     ] = None,
     column: Annotated[
-        Optional[list[str]],  # noqa: UP045 - as above
+        list[str] | None,
         typer.Option("--column", help="signal=column where names differ; repeat for several."),
     ] = None,
     as_json: Json = False,

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any, Optional
+from typing import Annotated, Any
 
 import typer
 
@@ -23,7 +23,7 @@ PlantName = Annotated[
     str, typer.Argument(metavar="PLANT", help="A plant file (.toml, .mat) or the name of a library plant.")
 ]
 Faults = Annotated[
-    Optional[list[str]],  # noqa: UP045 - typer reads the annotation at run time
+    list[str] | None,
     typer.Option("--fault", help="Reconstruct only this fault; repeat for several. All by default."),
 ]
 

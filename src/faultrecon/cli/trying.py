@@ -4,15 +4,15 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any, Optional
+from typing import Annotated, Any
 
 import typer
 
 from faultrecon.cli.root import Json, PlantName, app, plant_named
 from faultrecon.cli.shell import NEGATIVE, answer, bar, guarded, stages
 
-Signals = Optional[list[str]]  # noqa: UP045 - typer reads the annotation at run time
-Path_ = Optional[Path]  # noqa: UP045 - as above
+Signals = list[str] | None
+Path_ = Path | None
 
 FAULT = typer.Option("--fault", help="NAME:SHAPE:key=value,... for example pitch_rate:ramp:size=0.04,over=20,at=5.")
 INPUT = typer.Option("--input", help="An input's deviation, written like a fault.")
@@ -38,8 +38,8 @@ def simulate(
     faults: Annotated[Signals, FAULT] = None,
     inputs: Annotated[Signals, INPUT] = None,
     disturbances: Annotated[Signals, DISTURBANCE] = None,
-    duration: Annotated[Optional[float], typer.Option(help="Seconds.")] = None,  # noqa: UP045 - as above
-    sample_time: Annotated[Optional[float], typer.Option(help="Seconds.")] = None,  # noqa: UP045 - as above
+    duration: Annotated[float | None, typer.Option(help="Seconds.")] = None,
+    sample_time: Annotated[float | None, typer.Option(help="Seconds.")] = None,
     noise: Annotated[bool, typer.Option(help="Whether the declared sensor noise acts.")] = True,
     seed: Annotated[int, typer.Option(help="Every random signal follows from it.")] = 0,
     out: Annotated[Path_, typer.Option("--out", "-o", help="Where to write the run (.csv, .parquet).")] = None,
@@ -73,7 +73,7 @@ def compare(
     faults: Annotated[Signals, FAULT] = None,
     inputs: Annotated[Signals, INPUT] = None,
     disturbances: Annotated[Signals, DISTURBANCE] = None,
-    duration: Annotated[Optional[float], typer.Option(help="Seconds.")] = None,  # noqa: UP045 - as above
+    duration: Annotated[float | None, typer.Option(help="Seconds.")] = None,
     seed: Annotated[int, typer.Option(help="Every random signal follows from it.")] = 0,
     as_json: Json = False,
 ) -> None:

@@ -10,6 +10,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -70,7 +71,7 @@ class Observer:
         return self.nonlinear is None and self.copied is None
 
     @property
-    def poles(self) -> Array:
+    def poles(self) -> NDArray[Any]:
         """Eigenvalues of the linear part, slowest first."""
-        values = np.linalg.eigvals(self.A)
+        values = np.asarray(np.linalg.eigvals(self.A))
         return values[np.argsort(-values.real)]

@@ -11,7 +11,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import datetime
 from types import MappingProxyType
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -123,7 +123,9 @@ def write_log(path: str | os.PathLike[str], columns: Mapping[str, ArrayLike]) ->
             if kind == ".csv":
                 csv.write_csv(table, temporary)
             else:
-                repeating = [name for name, a in arrays.items() if _repeats(a)]
+                repeating: Any = [
+                    name for name, a in arrays.items() if _repeats(a)
+                ]  # the stubs know a truth value only
                 parquet.write_table(table, temporary, use_dictionary=repeating)
     except (pa.ArrowException, OSError) as error:
         raise InputError(f"{source}: cannot be written", why=str(error)) from error

@@ -34,7 +34,6 @@ from faultrecon.lmi.expr import I, __, given, let, sym, unknown
 from faultrecon.methods.base import (
     Identity,
     Method,
-    Paper,
     Reproduction,
     Scaling,
     Theorem,
@@ -43,6 +42,7 @@ from faultrecon.methods.base import (
     lipschitz_premises,
     lipschitz_scope,
 )
+from faultrecon.methods.papers import KHOSROWJERDI_2011
 from faultrecon.numerics.annihilator import annihilator, left_inverse
 from faultrecon.plant.plant import Plant
 
@@ -58,14 +58,7 @@ class LipschitzHinf(Method):
 
     name = "lipschitz-hinf"
     summary = "H-infinity observer from the healthy sensors; Lipschitz or linear plants, additive sensor faults"
-    paper = Paper(
-        "khosrowjerdi2011",
-        "Khosrowjerdi, M. J.",
-        2011,
-        "Robust sensor fault reconstruction for Lipschitz nonlinear systems",
-        "Mathematical Problems in Engineering 2011, 146038",
-        "10.1155/2011/146038",
-    )
+    paper = KHOSROWJERDI_2011
 
     def assumptions(self, plant: Plant) -> list[Finding]:
         """F of full column rank on the sensors, a healthy output left over, (A, C1) detectable, continuous time."""

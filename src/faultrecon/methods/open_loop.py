@@ -19,7 +19,6 @@ from faultrecon.lmi.expr import I, __, given, let, sym, unknown
 from faultrecon.methods.base import (
     Identity,
     Method,
-    Paper,
     Scaling,
     Theorem,
     deviations,
@@ -27,6 +26,7 @@ from faultrecon.methods.base import (
     lipschitz_premises,
     lipschitz_scope,
 )
+from faultrecon.methods.papers import KHOSROWJERDI_2011
 from faultrecon.numerics.annihilator import left_inverse
 from faultrecon.numerics.hinf import hinf_norm
 from faultrecon.plant.plant import Plant
@@ -38,14 +38,7 @@ class OpenLoop(Method):
     name = "open-loop"
     summary = "baseline: model in parallel, no correction (L = 0); certified for stable plants only"
     baseline = True
-    paper = Paper(
-        "khosrowjerdi2011",
-        "Khosrowjerdi, M. J.",
-        2011,
-        "Robust sensor fault reconstruction for Lipschitz nonlinear systems",
-        "Mathematical Problems in Engineering 2011, 146038",
-        "10.1155/2011/146038",
-    )
+    paper = KHOSROWJERDI_2011
 
     def assumptions(self, plant: Plant) -> list[Finding]:
         """Additive sensor faults with F of full column rank; a stable plant that outweighs its nonlinearity."""

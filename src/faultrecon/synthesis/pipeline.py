@@ -85,10 +85,11 @@ def design(
     say("optimum")
     posed = pose(chosen, plant, fix=fix, free=tuple(free))
     by_riccati = riccati_route.optimum(posed)
-    large = by_riccati is not None and plant.n >= riccati_route.LARGE
-    if large:
+    central: Callable[[float], Outcome] | None = None
+    if by_riccati is not None and plant.n >= riccati_route.LARGE:
         best = bounded = by_riccati.gamma
         notes: tuple[str, ...] = ("a large plant: Riccati route, central gains, no pole bound",)
+        central = partial(riccati_route.gains, posed, beta=by_riccati.beta, best=best)
     else:
         best, notes = _checked_optimum(posed, by_riccati)
         posed, bounded, more = _bounded(chosen, plant, fix, tuple(free), pole_bound, best, level)
@@ -96,7 +97,6 @@ def design(
     if level is not None and level <= bounded:
         raise Impossible(below_method(level, bounded, floor, posed))
     targets = [level] if level is not None else [(1.0 + backoff * growth) * bounded for growth in GROWTH]
-    central = partial(riccati_route.gains, posed, beta=by_riccati.beta, best=best) if large else None
     proven, rungs = climb(posed, targets, say, central)
     if proven is None:
         raise Inconclusive(no_proof(posed, rungs))
