@@ -4,7 +4,7 @@
 Everything is compared inside this one process, on one thread, in CPU time, as the median of several rounds in which
 the contestants take turns; read the ratios, the absolute numbers are only a scale.  Run it as
 
-    OMP_NUM_THREADS=1 python benchmarks/bench_stepping.py
+    python benchmarks/bench_stepping.py
 
 The example is the aircraft of Khosrowjerdi (2011), Example 4.1: six states, four sensors, a saturation, the gains that
 `fr.design` ships, RK4 at 1 ms.
@@ -13,15 +13,16 @@ The example is the aircraft of Khosrowjerdi (2011), Example 4.1: six states, fou
 from __future__ import annotations
 
 import os
-import statistics
 import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from tables import one_thread, table, turns
 
 import faultrecon as fr
 
@@ -39,25 +40,6 @@ def main() -> None:
     single(design)
     files(design)
     starts()
-
-
-def turns(contestants: Mapping[str, Callable[[], object]], rounds: int = 7) -> dict[str, float]:
-    """Median CPU seconds of each, taking turns so that a noisy neighbour meets them all."""
-    seconds: dict[str, list[float]] = {name: [] for name in contestants}
-    for _ in range(rounds):
-        for name, work in contestants.items():
-            start = time.process_time()
-            work()
-            seconds[name].append(time.process_time() - start)
-    return {name: statistics.median(s) for name, s in seconds.items()}
-
-
-def table(title: str, rows: list[tuple[str, ...]]) -> None:
-    """A small aligned table."""
-    widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
-    print(f"\n{title}")
-    for row in rows:
-        print("  " + "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip())
 
 
 def signals(t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -82,9 +64,9 @@ def engines(design: fr.Design) -> None:
     traces = {name: e.replay(t, u, y) for name, e in both.items()}
     apart = max(np.abs(getattr(traces["casadi"], n) - getattr(traces["numba"], n)).max() for n in ("fault", "state"))
     cost = turns({name: (lambda e=e: e.replay(t, u, y)) for name, e in both.items()})
-    rows = [("engine", "ns per sample", "ratio")]
-    rows += [(name, f"{s / ROWS * 1e9:.0f}", f"{s / cost['numba']:.1f}") for name, s in cost.items()]
-    table(f"replay of {ROWS} samples; largest difference between the engines {apart:.1e}", rows)
+    rows = [{"engine": k, "ns per sample": s / ROWS * 1e9, "times numba": s / cost["numba"]} for k, s in cost.items()]
+    about = f"{ROWS} samples; largest difference between the engines {apart:.1e}."
+    table("stepping_1_engines", "Stepping: a whole log, by engine", rows, about)
 
 
 # ---------------------------------------------------------------- a whole log against general-purpose integrators
@@ -107,12 +89,12 @@ def bulk(design: fr.Design) -> None:
     def smooth(time: float) -> np.ndarray:
         return np.concatenate(signals(np.array(time)))
 
-    for name, held in (("read as straight lines", straight), ("smooth signals known between samples", smooth)):
-        against(f"{name}", design, ours, state, z0, t, held)
+    against(("2_lines", "the log read as straight lines"), design, ours, state, z0, t, straight)
+    against(("3_smooth", "smooth signals known between the samples"), design, ours, state, z0, t, smooth)
 
 
 def against(
-    title: str,
+    title: tuple[str, str],
     design: fr.Design,
     ours: float,
     state: np.ndarray,
@@ -141,8 +123,14 @@ def against(
 
     exact = solve("DOP853", 1e-11, max_step=H)
     own = error(state)
-    rows = [("method", "rtol", "us per sample", "error", "times replay")]
-    rows.append(("replay", "", f"{ours * 1e6:.3f}", f"{own:.1e}", "1"))
+    rows: list[dict[str, Any]] = []
+
+    def note(method: str, rtol: float | None, cost: float, error: float) -> None:
+        fair = None if rtol is None else error <= own
+        row = {"method": method, "rtol": rtol, "us per sample": cost * 1e6, "error": error}
+        rows.append({**row, "times replay": cost / ours, "no worse than replay": fair})
+
+    note("replay", None, ours, own)
     found: list[tuple[float, float, str]] = []
     for method in ("RK45", "RK23", "DOP853", "LSODA", "BDF", "Radau"):
         for rtol in (1e-3, 1e-6, 1e-9):
@@ -150,14 +138,14 @@ def against(
             z = solve(method, rtol)
             cost = (time.process_time() - start) / SHORT
             found.append((cost, error(z), method))
-            rows.append((method, f"{rtol:g}", f"{cost * 1e6:.1f}", f"{found[-1][1]:.1e}", f"{cost / ours:.0f}"))
-    table(f"solve_ivp, {title}: {SHORT} samples", rows)
+            note(method, rtol, *found[-1][:2])
     fastest = min(found)
-    print(f"  fastest of all: {fastest[2]}, {fastest[0] / ours:.0f} times replay at error {fastest[1]:.1e}")
-    for label, names in (("fastest", {m for _, _, m in found}), ("RK45", {"RK45"})):
+    said = [f"Fastest of all: {fastest[2]}, {fastest[0] / ours:.0f} times replay at error {fastest[1]:.1e}."]
+    for label, names in (("Fastest", {m for _, _, m in found}), ("RK45", {"RK45"})):
         fair = [cost for cost, e, method in found if e <= own and method in names]
-        said = f"{min(fair) / ours:.0f} times replay" if fair else "none reaches our error"
-        print(f"  {label} at no worse error: {said}")
+        said.append(f"{label} at no worse error: " + (f"{min(fair) / ours:.0f} times replay." if fair else "none."))
+    about = f"{SHORT} samples, error against DOP853 at 1e-11. {' '.join(said)}"
+    table(f"stepping_{title[0]}", f"Stepping: against solve_ivp, {title[1]}", rows, about)
 
 
 # ---------------------------------------------------------------- one sample at a time
@@ -216,9 +204,8 @@ def single(design: fr.Design) -> None:
     )
     cost["step, nothing compiled"] *= 10
     base = cost["bare loop, two row reads"]
-    rows = [("per sample", "ns", "times the bare loop")]
-    rows += [(name, f"{s / count * 1e9:.0f}", f"{s / base:.1f}") for name, s in cost.items()]
-    table("one sample at a time", rows)
+    rows = [{"per sample": k, "ns": s / count * 1e9, "times the bare loop": s / base} for k, s in cost.items()]
+    table("stepping_4_samples", "Stepping: one sample at a time", rows)
 
 
 # ---------------------------------------------------------------- from file to file
@@ -259,9 +246,9 @@ def files(design: fr.Design) -> None:
             rounds=5,
         )
     base = cost["pyarrow read + write"]
-    rows = [(f"{FILE_ROWS} rows", "s", "times pyarrow")]
-    rows += [(name, f"{s:.3f}", f"{s / base:.2f}") for name, s in cost.items()]
-    table(f"Parquet to Parquet, {len(written.column_names)} columns out", rows)
+    rows = [{"from file to file": name, "s": s, "times pyarrow": s / base} for name, s in cost.items()]
+    about = f"{FILE_ROWS} rows, {len(written.column_names)} columns out."
+    table("stepping_5_files", "Stepping: Parquet to Parquet", rows, about)
 
 
 # ---------------------------------------------------------------- compiling
@@ -287,10 +274,11 @@ print(clock(lambda: __import__("numba")), clock(lambda: design.estimator(1e-3).w
             for _ in range(2)
         ]
     (imported, cold, memory), (_, disk, _) = ([float(x) for x in run.stdout.split()] for run in runs)
-    rows = [("start", "CPU s"), ("importing numba", f"{imported:.2f}"), ("compiled now", f"{cold:.2f}")]
-    rows += [("from the disk cache", f"{disk:.3f}"), ("from memory", f"{memory:.3f}")]
-    table("making an estimator ready", rows)
+    cost = {"importing numba": imported, "compiled now": cold, "from the disk cache": disk, "from memory": memory}
+    rows = [{"start": name, "CPU s": seconds} for name, seconds in cost.items()]
+    table("stepping_6_starts", "Stepping: making an estimator ready", rows)
 
 
 if __name__ == "__main__":
+    one_thread()
     main()

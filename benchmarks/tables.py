@@ -69,7 +69,9 @@ def table(name: str, title: str, rows: Sequence[Row], about: str = "", keep: boo
     widths = [max(len(line[i]) for line in cells) for i in range(len(columns))]
     print(f"\n{title}\n  {about}" if about else f"\n{title}")
     for line in cells:
-        print("  " + "  ".join(cell.ljust(width) for cell, width in zip(line, widths, strict=True)).rstrip(), flush=True)
+        print(
+            "  " + "  ".join(cell.ljust(width) for cell, width in zip(line, widths, strict=True)).rstrip(), flush=True
+        )
     if keep:
         document = {
             "title": title,

@@ -86,16 +86,25 @@ class Problem:
     @cached_property
     def forms(self) -> list[Form]:
         """The positive side of each inequality as an affine form."""
-        return [evaluate(i.positive, self._algebra, self._memo) for i in self.inequalities]
+        return [self._read(i.positive) for i in self.inequalities]
 
     @cached_property
     def objective(self) -> Form | None:
         """The objective as an affine form (1, 1)."""
-        return None if self.minimise is None else evaluate(self.minimise, self._algebra, self._memo)
+        return None if self.minimise is None else self._read(self.minimise)
+
+    def _read(self, expr: Expr) -> Form:
+        found: Form = evaluate(expr, self._algebra, self._memo)
+        if not isinstance(found.slope, np.ndarray):
+            return found
+        from scipy import sparse
+
+        return Form(found.constant, sparse.csr_array(found.slope))
 
     @cached_property
     def _algebra(self) -> AffineAlgebra:
-        return AffineAlgebra(self)
+        largest = max((i.expr.shape[0] for i in self.inequalities), default=1)
+        return (DenseAffineAlgebra if largest**2 * self.size <= DENSE else AffineAlgebra)(self)
 
     @cached_property
     def _memo(self) -> dict[int, Any]:
@@ -231,3 +240,47 @@ class AffineAlgebra:
             return Form(constant, None)
         i, j, data = (np.concatenate(part) for part in zip(*parts, strict=True))
         return Form(constant, sparse.csr_array((data, (i, j)), shape=(constant.size, self.problem.size)))
+
+
+DENSE = 1_000_000
+"""Coefficients up to which plain arrays are faster than sparse ones, whose every product costs 50 microseconds."""
+
+
+class DenseAffineAlgebra(AffineAlgebra):
+    """The same for small problems: slopes are arrays (r*c, N)."""
+
+    def leaf(self, node: Expr) -> Form:
+        found = super().leaf(node)
+        return found if found.slope is None else Form(found.constant, found.slope.toarray())
+
+    def matmul(self, a: Form, b: Form) -> Form:
+        (r, k), (_, c), N = a.constant.shape, b.constant.shape, self.problem.size
+        constant = a.constant @ b.constant
+        if a.slope is not None and b.slope is not None:
+            raise NotAffineError("a product of two unknowns", why="the inequality is not linear in them")
+        if b.slope is not None:
+            return Form(constant, (a.constant @ b.slope.reshape(k, c * N)).reshape(r * c, N))
+        if a.slope is not None:
+            spread = np.tensordot(a.slope.reshape(r, k, N), b.constant, axes=(1, 0))
+            return Form(constant, np.moveaxis(spread, 2, 1).reshape(r * c, N))
+        return Form(constant, None)
+
+    def scale(self, s: Form, a: Form) -> Form:
+        if s.slope is None or a.slope is not None:
+            return super().scale(s, a)
+        return Form(s.constant[0, 0] * a.constant, a.constant.reshape(-1, 1) * s.slope)
+
+    def block(self, rows: list[list[Form]]) -> Form:
+        constant = np.block([[b.constant for b in row] for row in rows])
+        N = self.problem.size
+        slope = np.zeros((*constant.shape, N))
+        at = 0
+        for row in rows:
+            left = 0
+            for b in row:
+                r, c = b.constant.shape
+                if b.slope is not None:
+                    slope[at : at + r, left : left + c] = b.slope.reshape(r, c, N)
+                left += c
+            at += row[0].constant.shape[0]
+        return Form(constant, slope.reshape(constant.size, N))

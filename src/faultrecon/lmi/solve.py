@@ -143,16 +143,16 @@ def _attempt(problem: Problem, data: ConicData, tolerance: float, time_limit: fl
     started = time.perf_counter()
     try:
         answer = _clarabel(data, tolerance, time_limit)
-        if not str(answer.status).endswith(".Solved") and str(answer.status).endswith("Solved"):
-            # Almost solved: shorter steps keep the iterates central, and often reach the tolerance after all.
+        if _word(answer) == "AlmostSolved":
+            # Shorter steps keep the iterates central, and often reach the tolerance after all.
             patient = _clarabel(data, tolerance, time_limit, step=0.9)
-            answer = patient if str(patient.status).endswith(".Solved") else answer
+            answer = patient if _word(patient) == "Solved" else answer
     except (KeyboardInterrupt, SystemExit):
         raise
     except BaseException as failure:  # a panic inside the compiled solver derives from BaseException alone
         return Outcome("unknown", solver=f"Clarabel: {type(failure).__name__}: {failure}")
     seconds = time.perf_counter() - started
-    word, iterations = str(answer.status).rpartition(".")[2], int(answer.iterations)
+    word, iterations = _word(answer), int(answer.iterations)
     z = np.asarray(answer.z, dtype=float)
     duals = tuple(_smat(part, n) for part, n in _parts(z, data.sizes))
     effort = {"solver": f"Clarabel: {word}", "iterations": iterations, "seconds": seconds, "duals": duals}
@@ -169,6 +169,10 @@ def _objective(problem: Problem, v: np.ndarray) -> float:
     if form is None:
         return 0.0
     return float(form.constant[0, 0]) + (0.0 if form.slope is None else float((form.slope @ v)[0]))
+
+
+def _word(answer: Any) -> str:
+    return str(answer.status).rpartition(".")[2]
 
 
 def _clarabel(data: ConicData, tolerance: float, time_limit: float, step: float = 0.99) -> Any:

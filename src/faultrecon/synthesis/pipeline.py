@@ -33,6 +33,8 @@ STEP_SHARE = 2.0
 """Default pole bound times sample time, inside the 2.785 at which classical Runge-Kutta turns unstable."""
 OWN_SHARE = 10.0
 """Default pole bound over the plant's fastest mode where no sample time is known: an observer need not be faster."""
+ASTRAY = 1.01
+"""Ratio of the two routes beyond which it is not the solver that errs."""
 LARGEST_LEVEL = 1e60
 """Its square, in any units the program may choose, is still a float."""
 AGREEMENT = 1e-4
@@ -74,9 +76,10 @@ def design(
     _options(backoff, level)
     if not certify:
         return _unproved(chosen, plant, started)
-    fatal = [f for f in chosen.assumptions(plant) if f.severity == "fatal"]
-    if fatal:
-        raise Impossible(fatal[0])
+    findings = chosen.assumptions(plant)
+    for finding in findings:
+        if finding.severity == "fatal":
+            raise Impossible(finding)
     say("floor")
     peak = reconstruction_floor(plant)
     floor = None if peak is None else peak.value
@@ -115,7 +118,7 @@ def design(
         bounded_optimum=bounded if posed.pole_bound is not None else None,
         attempts=tuple(str(rung) for rung in rungs),
         seconds=time.perf_counter() - started,
-        notes=(*notes, *(str(f) for f in chosen.assumptions(plant) if f.severity != "fatal")),
+        notes=(*notes, *(str(f) for f in findings)),
     )
     result = Design(plant, method, proven.gains, best, proven.level, floor, proven.certificate, details)
     result.__dict__["verification"] = proven.verification  # fills the cached property: the proof is not run twice
@@ -170,9 +173,11 @@ def _checked_optimum(posed: Posed, by_riccati: LevelSolution | None) -> tuple[fl
     by_solver = _level(outcome, posed)
     if not settled:
         return by_solver, ()
-    if abs(by_solver - by_riccati.gamma) > AGREEMENT * by_riccati.gamma:
-        return by_riccati.gamma, (f"two routes to the optimum disagree: {by_riccati.gamma:.9g} and {by_solver:.9g}",)
-    return by_riccati.gamma, ()
+    if abs(by_solver - by_riccati.gamma) <= AGREEMENT * by_riccati.gamma:
+        return by_riccati.gamma, ()
+    note = f"two routes to the optimum disagree: {by_riccati.gamma:.9g} (Riccati) and {by_solver:.9g} (solver)"
+    # The solver may stop a little below the optimum; far below it nothing is feasible, so there the other one is lost.
+    return (by_solver if by_riccati.gamma > ASTRAY * by_solver else by_riccati.gamma), (note,)
 
 
 def _level(outcome: Outcome, posed: Posed) -> float:
