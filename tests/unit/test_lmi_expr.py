@@ -98,8 +98,8 @@ def test_a_block_of_no_channels_drops_out_of_the_affine_data():
     without = Problem([A.T @ P + P @ A < 0])
     with_none = Problem([sym([[A.T @ P + P @ A, P @ G], [__, -β * I(0)]]) < 0])
     assert np.array_equal(without.forms[0].constant, with_none.forms[0].constant)
-    slope = with_none.forms[0].slope.toarray()[:, [with_none.offsets["P"] + k for k in range(3)]]
-    assert np.array_equal(without.forms[0].slope.toarray(), slope)
+    slope = with_none.forms[0].slope[:, [with_none.offsets["P"] + k for k in range(3)]]
+    assert np.array_equal(without.forms[0].slope, slope)
 
 
 def test_zero_takes_the_shape_of_its_neighbour():
@@ -183,7 +183,7 @@ def test_what_is_not_affine_is_refused_before_any_solver(expr, message):
 
 def test_a_product_becomes_affine_when_one_factor_is_held():
     problem = Problem([β * P > 0], fixed={"β": 2.0})
-    assert np.array_equal(problem.forms[0].slope.toarray() @ [1.0, 3.0, 5.0], [2.0, 6.0, 6.0, 10.0])
+    assert np.array_equal(problem.forms[0].slope @ [1.0, 3.0, 5.0], [2.0, 6.0, 6.0, 10.0])
 
 
 def test_holding_a_letter_that_is_not_there_is_refused():

@@ -85,26 +85,22 @@ class Problem:
 
     @cached_property
     def forms(self) -> list[Form]:
-        """The positive side of each inequality as an affine form."""
-        return [self._read(i.positive) for i in self.inequalities]
+        """The positive side of each inequality as an affine form; slopes are arrays when `dense`, else sparse."""
+        return [evaluate(i.positive, self._algebra, self._memo) for i in self.inequalities]
 
     @cached_property
     def objective(self) -> Form | None:
         """The objective as an affine form (1, 1)."""
-        return None if self.minimise is None else self._read(self.minimise)
+        return None if self.minimise is None else evaluate(self.minimise, self._algebra, self._memo)
 
-    def _read(self, expr: Expr) -> Form:
-        found: Form = evaluate(expr, self._algebra, self._memo)
-        if not isinstance(found.slope, np.ndarray):
-            return found
-        from scipy import sparse
-
-        return Form(found.constant, sparse.csr_array(found.slope))
+    @cached_property
+    def dense(self) -> bool:
+        """Whether the problem is small enough for plain arrays."""
+        return max((i.expr.shape[0] for i in self.inequalities), default=1) ** 2 * self.size <= DENSE
 
     @cached_property
     def _algebra(self) -> AffineAlgebra:
-        largest = max((i.expr.shape[0] for i in self.inequalities), default=1)
-        return (DenseAffineAlgebra if largest**2 * self.size <= DENSE else AffineAlgebra)(self)
+        return DenseAffineAlgebra(self) if self.dense else AffineAlgebra(self)
 
     @cached_property
     def _memo(self) -> dict[int, Any]:
@@ -126,7 +122,7 @@ class Problem:
         values = {}
         for name, leaf in self.unknowns.items():
             part = v[self.offsets[name] : self.offsets[name] + freedom(leaf)]
-            values[name] = (_pattern(leaf) @ part).reshape(leaf.shape)
+            values[name] = part[_index(leaf)].reshape(leaf.shape)
         return values | {name: value.copy() for name, value in self.held.items()}
 
 
@@ -136,18 +132,14 @@ def freedom(leaf: Expr) -> int:
     return rows * (rows + 1) // 2 if leaf.args[1] else rows * columns
 
 
-def _pattern(leaf: Expr) -> Any:
-    """The sparse (r*c, freedom) matrix from an unknown's scalars to its entries."""
-    from scipy import sparse
-
+def _index(leaf: Expr) -> np.ndarray:
+    """Which scalar of an unknown each of its entries is, row by row (r*c,)."""
     rows, columns = leaf.shape
     if not leaf.args[1]:
-        return sparse.eye_array(rows * columns, format="csr")
+        return np.arange(rows * columns)
     i, j = np.indices((rows, columns))
     high, low = np.maximum(i, j), np.minimum(i, j)
-    index = high * (high + 1) // 2 + low
-    ones = np.ones(rows * columns)
-    return sparse.csr_array((ones, (np.arange(rows * columns), index.ravel())), shape=(rows * columns, freedom(leaf)))
+    return (high * (high + 1) // 2 + low).ravel()
 
 
 class AffineAlgebra:
@@ -162,12 +154,15 @@ class AffineAlgebra:
         held = self.problem.held
         if node.name in held:
             return Form(held[node.name], None)
+        return Form(np.zeros(node.shape), self.unknown(node))
+
+    def unknown(self, node: Expr) -> Any:
+        """The slope (r*c, N) of an unknown: one entry per row."""
         from scipy import sparse
 
-        local = _pattern(node).tocoo()
-        columns = local.col + self.problem.offsets[node.name]
-        slope = sparse.csr_array((local.data, (local.row, columns)), shape=(local.shape[0], self.problem.size))
-        return Form(np.zeros(node.shape), slope)
+        index = _index(node)
+        where = (np.arange(index.size), self.problem.offsets[node.name] + index)
+        return sparse.csr_array((np.ones(index.size), where), shape=(index.size, self.problem.size))
 
     def number(self, value: float) -> Form:
         return Form(np.array([[value]]), None)
@@ -249,9 +244,10 @@ DENSE = 1_000_000
 class DenseAffineAlgebra(AffineAlgebra):
     """The same for small problems: slopes are arrays (r*c, N)."""
 
-    def leaf(self, node: Expr) -> Form:
-        found = super().leaf(node)
-        return found if found.slope is None else Form(found.constant, found.slope.toarray())
+    def unknown(self, node: Expr) -> Any:
+        slope = np.zeros((node.shape[0] * node.shape[1], self.problem.size))
+        slope[np.arange(len(slope)), self.problem.offsets[node.name] + _index(node)] = 1.0
+        return slope
 
     def matmul(self, a: Form, b: Form) -> Form:
         (r, k), (_, c), N = a.constant.shape, b.constant.shape, self.problem.size

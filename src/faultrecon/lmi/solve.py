@@ -65,14 +65,16 @@ def conic_data(problem: Problem, margin: float = 0.0, near: np.ndarray | None = 
     from scipy import sparse
 
     units = np.ones(problem.size) if near is None else _units(problem, near)
-    blocks = [_svec(form, problem.size, margin, near) for form in problem.forms]
+    none = np.zeros if problem.dense else sparse.csr_array
+    blocks = [_svec(form, none((form.constant.size, problem.size)), margin, near) for form in problem.forms]
     q = np.zeros(problem.size)
     if problem.objective is not None and problem.objective.slope is not None:
-        q = problem.objective.slope.toarray().ravel() * units
+        slope = problem.objective.slope
+        q = (slope if problem.dense else slope.toarray()).ravel() * units
         if near is not None and q.any():
             q = q / np.abs(q).max()
-    empty = sparse.csr_array((0, problem.size))
-    M = sparse.vstack([m for m, _, _ in blocks] or [empty], format="csc") @ sparse.diags_array(units)
+    rows = [m for m, _, _ in blocks] or [none((0, problem.size))]
+    M = np.vstack(rows) * units if problem.dense else sparse.vstack(rows, format="csc") @ sparse.diags_array(units)
     b = np.concatenate([rhs for _, rhs, _ in blocks] or [np.zeros(0)])
     return ConicData(q, sparse.csc_array(M), b, tuple(n for _, _, n in blocks), units)
 
@@ -87,12 +89,10 @@ def _units(problem: Problem, near: np.ndarray) -> np.ndarray:
     return units
 
 
-def _svec(form: Form, size: int, margin: float, near: np.ndarray | None) -> tuple[Any, np.ndarray, int]:
+def _svec(form: Form, none: Any, margin: float, near: np.ndarray | None) -> tuple[Any, np.ndarray, int]:
     """The rows (-slope, constant) of one matrix inequality after a diagonal congruence by powers of two."""
-    from scipy import sparse
-
     n = form.constant.shape[0]
-    slope = form.slope if form.slope is not None else sparse.csr_array((n * n, size))
+    slope = none if form.slope is None else form.slope
     diagonal = np.arange(n) * (n + 1)
     if near is None:
         weight = np.maximum(np.abs(form.constant).max(axis=1, initial=0), _row_max(slope[diagonal]))
@@ -103,14 +103,16 @@ def _svec(form: Form, size: int, margin: float, near: np.ndarray | None) -> tupl
     j = np.concatenate([np.full(k + 1, k) for k in range(n)]) if n else np.zeros(0, int)
     factor = np.where(i == j, 1.0, ROOT2) * d[i] * d[j]
     constant = 0.5 * (form.constant + form.constant.T) - margin * np.diag(1.0 / d**2)
-    upper, lower = slope[i * n + j], slope[j * n + i]
-    return -(0.5 * (upper + lower)).multiply(factor[:, None]).tocsr(), constant[i, j] * factor, n
+    half = -0.5 * (slope[i * n + j] + slope[j * n + i])
+    rows = half * factor[:, None] if isinstance(half, np.ndarray) else half.multiply(factor[:, None]).tocsr()
+    return rows, constant[i, j] * factor, n
 
 
 def _row_max(rows: Any) -> np.ndarray:
     if rows.shape[0] == 0 or rows.shape[1] == 0:
         return np.zeros(rows.shape[0])
-    return np.abs(rows).max(axis=1).toarray().ravel()
+    top = np.abs(rows).max(axis=1)
+    return top if isinstance(top, np.ndarray) else top.toarray().ravel()
 
 
 def solve(

@@ -79,7 +79,7 @@ def describe(plant: Plant, observer: Observer, gains: Mapping[str, Array], **kno
     return DesignReport(
         gain_norms={name: float(np.linalg.norm(value, 2)) if value.size else 0.0 for name, value in gains.items()},
         fastest_pole=float(np.abs(poles).max()),
-        slowest_pole=float(np.abs(poles.real).min()),
+        slowest_pole=float(np.abs(np.real(poles)).min()),
         largest_step=rk4_polynomial_limit(poles),
         noise_sd=fault_noise(plant, observer),
         **known,
