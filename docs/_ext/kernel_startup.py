@@ -19,4 +19,4 @@ def bash(line: str, cell: str) -> None:
 
 shell = get_ipython()
 if shell is not None:
-    shell.run_line_magic("config", "InlineBackend.figure_formats = {'svg'}")
+    shell.config.InlineBackend.figure_formats = {"svg"}

@@ -41,6 +41,23 @@ def test_scalars_stand_before_what_they_scale():
     assert latex(given("T⁻¹", np.eye(2)).T) == r"T^{-\top}"
 
 
+def test_a_power_takes_all_of_its_base():
+    U, γ, s = given("U", np.ones((1, 1))), unknown("γ"), given("plant.α", np.ones((1, 1)))
+    assert latex((U * γ) ** 2) == r"(U \gamma)^{2}"
+    assert latex(γ2**2) == r"(\gamma^{2})^{2}"
+    assert latex(s**2) == r"(\alpha^{\mathrm{plant}})^{2}"
+    assert latex((β + γ2) ** 2) == r"(\beta + \gamma^{2})^{2}"
+    assert latex((-β) ** 2) == r"(-\beta)^{2}"
+    assert latex(given("U⁻¹", np.ones((1, 1))) ** 2) == "U^{-2}"
+
+
+def test_a_transpose_or_inverse_takes_all_of_its_base():
+    assert latex((A @ P).T) == r"(A P)^{\top}"
+    assert latex((A @ P).inv()) == "(A P)^{-1}"
+    assert latex(given("plant.C", np.eye(2)).T @ P.inv()) == r"(C^{\mathrm{plant}})^{\top} P^{-1}"
+    assert latex(sym([[β**2 * I(2), A], [__, P]]).T).endswith(r"\end{bmatrix}^{\top}")
+
+
 def test_a_block_matrix_shows_stars_and_its_number():
     Ω = let("Ω", A.T @ P + P @ A)
     claim = (sym([[Ω, Z], [__, -γ2 * I(1)]]) < 0).tagged("(3.1)")
@@ -57,3 +74,8 @@ def test_a_block_matrix_shows_stars_and_its_number():
 def test_a_plain_claim_is_one_line():
     assert text_block((P > 0).tagged("P > 0")) == "P > 0"
     assert inequality_latex(P > 0) == r"P \succ 0"
+
+
+def test_a_scalar_is_compared_not_definite():
+    assert inequality_latex(β > 0) == r"\beta > 0"
+    assert inequality_latex((β - γ2 < 0).tagged("(2)")) == r"\beta - \gamma^{2} < 0 \tag{2}"

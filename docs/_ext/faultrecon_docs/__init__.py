@@ -14,14 +14,24 @@ if TYPE_CHECKING:
 
 
 def setup(app: Sphinx) -> dict[str, Any]:
-    """Register everything; the generated pages are written before Sphinx looks for pages."""
+    """Register everything; the generated pages are written before Sphinx looks for pages.
+
+    The bibliography comes earlier still: its extension reads it while the environment is made, before the builder.
+    """
     from faultrecon_docs import cells, docstrings, formulas
 
     formulas.setup(app)
     cells.setup(app)
     docstrings.setup(app)
+    app.connect("config-inited", _bibliography)
     app.connect("builder-inited", _generate)
     return {"parallel_read_safe": True, "parallel_write_safe": True, "version": "1"}
+
+
+def _bibliography(app: Sphinx, config: object) -> None:
+    from faultrecon_docs.pages import write_bibliography
+
+    write_bibliography(Path(app.srcdir))
 
 
 def _generate(app: Sphinx) -> None:

@@ -12,9 +12,13 @@ from faultrecon_docs.papers import Warn
 from faultrecon_docs.text import page
 
 
+def write_bibliography(docs: Path) -> None:
+    """Write the papers of all methods in BibTeX, into the documentation's folder."""
+    write(docs / "papers" / "papers.bib", papers.bibliography())
+
+
 def write_pages(docs: Path, warn: Warn) -> None:
     """Write every generated page into the documentation's folder; warn is told what does not come out as it should."""
-    write(docs / "papers" / "papers.bib", papers.bibliography())
     for method in all_methods().values():
         if method.variant_of is None:
             write(docs / "papers" / f"{method.name}.md", _paper(docs, method, warn))

@@ -182,14 +182,25 @@ def printed_latex(text: str) -> str:
 
 REWRITTEN = (
     (r"(\\[a-z]+)\^\{p\} \1\^\{p\}", r"(\1^{p})^{2}"),  # α α
+    (r"V\^\{-1\}", "(V^{p})^{-1}"),
     (r"(U )?\\gamma \1\\gamma", lambda found: r"(U \gamma)^{2}" if found[1] else r"\gamma^{2}"),
     (r"\bU U\b", r"U^{2}"),
     (r"U\^\{-1\} U\^\{-1\}", r"U^{-2}"),
     (r"(\\[a-z]+\^\{p\}) (\d) ", r"\2 \1 "),  # a number comes first
     (r"\(-([^()&]*?)\) (?=I|\()", r"-\1 "),  # (-β) I
-    (r"\{T\^\{-1\}\}\^\{\\top\}", r"T^{-\\top}"),
-    (r"\\mathrm\{([A-Z])(\d)\}", r"\1_{\2}"),  # K1 ships, K₁ is its unknown
+    (r"\\mathrm\{([A-Z])(\d)\}", r"\1_{\2}"),
 )
+
+
+def shipped_latex(text: str, theorem: Theorem) -> str:
+    """The same with a raised s on what ships: the gains that run, in the plant's units, and the level γ.
+
+    Without the mark K₁, an unknown of the inequality, and the gain made from it would look alike.
+    """
+    for name in ("γ", *(gain.name for gain in theorem.gains)):
+        letter = re.escape(letter_latex(name))
+        text = re.sub(rf"(?<![A-Za-z\\]){letter}(?![A-Za-z^_])", lambda found: found[0] + "^{s}", text)
+    return printed_latex(text)
 
 
 def _theorem(theorem: Theorem) -> list[str]:
@@ -199,8 +210,8 @@ def _theorem(theorem: Theorem) -> list[str]:
     fixed = [f"${letter_latex(k)} = {v:g}$" for k, v in theorem.fixed.items()]
     text = f"Minimise ${minimised}$ over ${', '.join(free)}$"
     text += f", with {', '.join(fixed)} unless it is set free with `free=`," if fixed else ","
-    own = [f"{printed_latex(latex(k))} = {printed_latex(latex(v))}" for k, v in theorem.gains.items()]
-    shipped = [f"{printed_latex(latex(k))} = {printed_latex(latex(v))}" for k, v in theorem.prove_with.items()]
+    own = [f"{shipped_latex(latex(k), theorem)} = {printed_latex(latex(v))}" for k, v in theorem.gains.items()]
+    shipped = [f"{printed_latex(latex(k))} = {shipped_latex(latex(v), theorem)}" for k, v in theorem.prove_with.items()]
     return [
         f"{text} subject to",
         *(formula(printed_latex(inequality_latex(i))) for i in theorem.inequalities),
@@ -208,8 +219,12 @@ def _theorem(theorem: Theorem) -> list[str]:
         formulas(printed_latex(line) for line in definitions_latex(theorem.inequalities)),
         _letters_explained(theorem),
         *(["The gains are", formulas(own)] if own else ["There is no gain to choose."]),
-        "They are rounded to what runs. Then the inequalities are proved once more in exact arithmetic, about the"
-        " rounded gains, with " + ", ".join(f"${line}$" for line in shipped) + ".",
+        ("They are rounded to what runs. Then the" if own else "The")
+        + " inequalities are proved once more in exact arithmetic, about "
+        + ("the rounded gains and the level that ships" if own else "the level that ships")
+        + ", with "
+        + ", ".join(f"${line}$" for line in shipped)
+        + ". A raised $s$ marks what ships, in the plant's units; the same letters without it are unknowns above.",
     ]
 
 
@@ -272,6 +287,7 @@ def _variants(method: Method) -> list[str]:
             f"## Variant: {other.name}",
             sentence(other.summary),
             prose(inspect.getdoc(type(other)) or ""),
+            "`faultrecon methods --variants` lists it.",
             *(["It adds"] if more else []),
             *(formula(printed_latex(inequality_latex(i))) for i in more),
             *(["where", formulas(printed_latex(line) for line in definitions_latex(more))] if more else []),

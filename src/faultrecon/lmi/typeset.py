@@ -47,18 +47,14 @@ def latex(node: Expr, tight: bool = False) -> str:
         case "zero":
             return "0"
         case "T" | "inv":
-            power = r"\top" if node.op == "T" else "-1"
-            text = latex(node.args[0], True)
-            if text.endswith("^{-1}") and node.op == "T":
-                return text.removesuffix("^{-1}") + r"^{-\top}"
-            return f"{{{text}}}^{{{power}}}" if "^" in text and not text.startswith("(") else f"{text}^{{{power}}}"
+            return _raised(node.args[0], r"\top" if node.op == "T" else "-1")
         case "matmul":
             text = f"{latex(node.args[0], True)} {latex(node.args[1], True)}"
             return f"({text})" if tight and "block" in (node.args[0].op, node.args[1].op) else text
         case "scale":
             left, right = (latex(a, True) for a in node.args)
             if left == right:  # a scalar times itself
-                return f"{{{left}}}^{{2}}" if "^" in left else f"{left}^{{2}}"
+                return _raised(node.args[0], "2")
             if node.args[0].op == "neg":  # -β I, not (-β) I
                 text = f"-{latex(node.args[0].args[0], True)} {right}"
                 return f"({text})" if tight else text
@@ -78,9 +74,25 @@ def latex(node: Expr, tight: bool = False) -> str:
     return f"({text})" if tight else text
 
 
+def _raised(node: Expr, power: str) -> str:
+    """A power: letters carry it as they are; products, sums, and letters that have a power already, in brackets."""
+    if node.op in ("matmul", "scale", "add", "neg"):
+        return f"({latex(node)})^{{{power}}}"
+    text = latex(node, True)
+    merged = {r"\top": r"-\top", "2": "-2"}.get(power)
+    if text.endswith("^{-1}") and merged:
+        return text.removesuffix("^{-1}") + f"^{{{merged}}}"
+    plain = node.op == "block" or not ("^" in text or text.startswith("-"))
+    return f"{text}^{{{power}}}" if plain else f"({text})^{{{power}}}"
+
+
 def inequality_latex(inequality: Inequality) -> str:
-    """The inequality in LaTeX with its number as a tag, '(3.1)' as \\tag{3.1}; other labels are left out."""
-    sign = r"\prec 0" if inequality.sense == "<" else r"\succ 0"
+    """The inequality in LaTeX with its number as a tag, '(3.1)' as \\tag{3.1}; other labels are left out.
+
+    A scalar is greater or smaller than zero; a matrix is definite.
+    """
+    scalar = inequality.expr.shape == (1, 1)
+    sign = {"<": "<" if scalar else r"\prec", ">": ">" if scalar else r"\succ"}[inequality.sense] + " 0"
     number = re.fullmatch(r"\((.+)\)", inequality.label)
     return f"{latex(inequality.expr)} {sign}" + (rf" \tag{{{number[1]}}}" if number else "")
 
