@@ -172,7 +172,8 @@ class Certificate:
             return Checked("identity", "refuted", f"it cannot be read: {error}")
         changed = [key for key, value in now.items() if self.digests.get(key) != value]
         if changed:
-            return Checked("identity", "refuted", f"{' and '.join(changed)} changed after the certificate was made")
+            what = " and ".join("gains or γ" if key == "gains" else key for key in changed)
+            return Checked("identity", "refuted", f"{what} changed after the certificate was made")
         return Checked("identity", "proved", "plant, gains and statement are the ones that were certified")
 
     def _numbers(self, algebra: DyadicAlgebra) -> dict[str, Dyadic]:

@@ -74,7 +74,7 @@ def test_seven_figures_are_drawn(reproduced):
 
 def test_the_text_says_what_agrees_and_what_was_written(reproduced):
     text = str(reproduced)
-    assert "numbers agree" in text
+    assert "0 of 4 values are reproduced as the paper prints them" in text and "with our own re-derivation" in text
     assert "not as printed" in text
     assert "figure_7.png" in text
     assert reproduced.as_dict()["agrees"] is True

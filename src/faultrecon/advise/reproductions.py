@@ -112,8 +112,12 @@ class Reproduced:
         for table in self.tables:
             lines += [str(table), ""]
         lines += [f"wrote {path}" for path in self.figures]
+        printed = [row for row in rows if row.printed is not None]
+        if printed:
+            met = sum(row.status == "as_printed" for row in printed)
+            lines.append(f"{met} of {len(printed)} values are reproduced as the paper prints them")
         good = sum(row.agrees for row in rows)
-        lines.append(f"{good} of {len(rows)} numbers agree with their references within the stated tolerances")
+        lines.append(f"{good} of {len(rows)} values agree, within the stated tolerances, with our own re-derivation")
         return "\n".join([*lines, self.note] if self.note else lines)
 
 
