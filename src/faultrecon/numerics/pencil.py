@@ -49,7 +49,7 @@ def unobservable_modes(A: ArrayLike, C: ArrayLike, *, tol: float = RANK_TOLERANC
     modes = []
     for value, y in _eigendirections(N.T @ A @ N):
         v = unit * (N @ y)
-        modes.append(Mode(value, _normalised(v), float(_smallest_singular(A, C, np.array([value]))[0])))
+        modes.append(Mode(value, _normalised(v), float(_smallest_singular(A, C, np.array([value]), _weights(A, C))[0])))
     return sorted(modes, key=lambda mode: (-mode.value.real, -mode.value.imag))
 
 
@@ -71,9 +71,34 @@ def detectability_margin(A: ArrayLike, C: ArrayLike, *, sampled: bool = False) -
     when `sampled`): candidates are the boundary, searched on a grid, and the eigenvalues of A moved into the region,
     the best few followed downhill.  Zero: undetectable.  1e-6: holds by a hair.  An upper bound of the distance.
     """
+    return nearest_undetectable(A, C, sampled=sampled)[0]
+
+
+def nearest_undetectable(A: ArrayLike, C: ArrayLike, *, sampled: bool = False) -> tuple[float, complex]:
+    """`detectability_margin` and the s, Im s >= 0, at which it was found."""
     A, C, _ = _balanced(np.asarray(A, dtype=float), np.asarray(C, dtype=float))
+    value, s = _nearest(A, C, _weights(A, C), sampled)
+    return value, complex(s.real, abs(s.imag))
+
+
+def distance_to_undetectability(A: ArrayLike, C: ArrayLike, *, sampled: bool = False) -> tuple[float, complex]:
+    """The smallest sigma_min([sI - A; C]) found over s with Re s >= 0 (|s| >= 1 when `sampled`), and that s, Im s >= 0.
+
+    In the units as given, as the literature tabulates it; `detectability_margin` is the same in balanced units.
+    """
+    A, C = np.asarray(A, dtype=float), np.asarray(C, dtype=float)
+    value, s = _nearest(A, C, (1.0, 1.0), sampled)
+    return value, complex(s.real, abs(s.imag))
+
+
+def _weights(A: Array, C: Array) -> tuple[float, float]:
+    return max(spectral_norm(A), 1e-300), max(spectral_norm(C), 1e-300)
+
+
+def _nearest(A: Array, C: Array, weights: tuple[float, float], sampled: bool) -> tuple[float, complex]:
+    """Where in the region of modes that do not decay the sensors are nearest to missing one, and by how much."""
     if A.shape[0] == 0:
-        return np.inf
+        return np.inf, 0j
 
     def inside(s: Complex) -> Complex:
         if sampled:
@@ -88,9 +113,10 @@ def detectability_margin(A: ArrayLike, C: ArrayLike, *, sampled: bool = False) -
         smallest = np.abs(poles)[np.abs(poles) > 1e-12 * radius].min(initial=radius)
         boundary = 1j * np.concatenate([[0.0], np.geomspace(0.1 * smallest, 2.0 * radius, 120)])
     s = inside(np.concatenate([poles[poles.imag >= 0], 1j * np.abs(poles.imag) if not sampled else [], boundary]))
-    value = _smallest_singular(A, C, s)
+    value = _smallest_singular(A, C, s, weights)
     best = np.argsort(value)[:4]
-    return float(min(_downhill(A, C, complex(s[k]), float(value[k]), inside) for k in best))
+    found = [_downhill(A, C, complex(s[k]), float(value[k]), inside, weights) for k in best]
+    return min(found, key=lambda pair: pair[0])
 
 
 def invariant_zeros(A: ArrayLike, B: ArrayLike, C: ArrayLike, D: ArrayLike, *, tol: float = RANK_TOLERANCE) -> Complex:
@@ -192,29 +218,30 @@ def _normalised(v: Complex) -> Complex:
     return v / (np.linalg.norm(v) * largest / abs(largest))
 
 
-def _smallest_singular(A: Array, C: Array, s: Complex) -> Array:
-    """sigma_min([(sI - A)/|A|; C/|C|]) for every s."""
-    n = A.shape[0]
-    a, c = max(spectral_norm(A), 1e-300), max(spectral_norm(C), 1e-300)
+def _smallest_singular(A: Array, C: Array, s: Complex, weights: tuple[float, float]) -> Array:
+    """sigma_min([(sI - A)/a; C/c]) for every s, with weights (a, c)."""
+    n, (a, c) = A.shape[0], weights
     stack = np.empty((s.size, n + C.shape[0], n), dtype=complex)
     stack[:, :n] = (s[:, None, None] * np.eye(n) - A) / a
     stack[:, n:] = C / c
     return np.linalg.svd(stack, compute_uv=False)[:, -1]
 
 
-def _downhill(A: Array, C: Array, s: complex, value: float, inside: Callable[[Any], Any]) -> float:
-    """Compass search for a local minimum of the smallest singular value inside the region."""
+def _downhill(
+    A: Array, C: Array, s: complex, value: float, inside: Callable[[Any], Any], weights: tuple[float, float]
+) -> tuple[float, complex]:
+    """Compass search for a local minimum of the smallest singular value inside the region, and where it is."""
     compass = np.array([1, -1, 1j, -1j])
     step = 0.1 * max(abs(s), 1e-3 * max(spectral_norm(A), 1e-300))
     for _ in range(48):
         trial = inside(s + step * compass)
-        values = _smallest_singular(A, C, trial)
+        values = _smallest_singular(A, C, trial, weights)
         k = int(np.argmin(values))
         if values[k] < value:
-            s, value = trial[k], float(values[k])
+            s, value = complex(trial[k]), float(values[k])
         else:
             step *= 0.35
-    return value
+    return value, s
 
 
 def _equilibrate(M: Array) -> Array:
