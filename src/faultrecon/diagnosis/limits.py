@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +15,7 @@ from faultrecon.numerics.hinf import estimator_floor
 from faultrecon.numerics.interpolation import hidden_mode_floor
 from faultrecon.plant.plant import Plant
 
-Array = NDArray[np.float64]
+Array = NDArray[Any]
 Kind = Literal["disturbance", "hidden mode"]
 
 

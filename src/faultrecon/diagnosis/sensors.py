@@ -16,8 +16,7 @@ from faultrecon.diagnosis.conditions import constant_fault, living_in
 from faultrecon.diagnosis.limits import Floor, reconstruction_floor
 from faultrecon.finding import InputError
 from faultrecon.numerics.annihilator import annihilator, column_rank
-from faultrecon.numerics.pencil import undetectable_modes
-from faultrecon.numerics.scaling import spectral_norm
+from faultrecon.numerics.pencil import SlowModes
 from faultrecon.plant.fault import Disturbance
 from faultrecon.plant.plant import Plant
 from faultrecon.plant.signals import Channels, Noise
@@ -97,7 +96,7 @@ def with_sensor(plant: Plant, extra: Candidate) -> Plant:
         D=np.vstack([plant.D, np.zeros((1, plant.D.shape[1]))]),
         noise=noise,
         disturbances=disturbances,
-        operating_point=replace(plant.point, y=(*plant.point.y, float(row @ np.array(plant.point.x)))),
+        operating_point=replace(plant.point, y=(*plant.point.y, float(row[0] @ np.array(plant.point.x)))),
     )
 
 
@@ -125,7 +124,7 @@ def rank_sensors(
 
 def what_would_help(plant: Plant, candidates: Iterable[Candidate | str] | None = None) -> tuple[SensorOption, ...]:
     """The single sensors, added or kept healthy, that would make an impossible reconstruction possible; else ()."""
-    if _existence(plant, range(len(plant.faults)), _growing(plant))[0]:
+    if _existence(plant, range(len(plant.faults)), _slow(plant))[0]:
         return ()
     return tuple(option for option in rank_sensors(plant, candidates) if option.possible)
 
@@ -136,14 +135,14 @@ def fault_sets(plant: Plant, largest: int = 2) -> tuple[FaultSet, ...]:
     One eigenvalue problem for all of them; a set that contains an impossible one is impossible for the same reason and
     is not computed: fewer healthy outputs never see more.
     """
-    growing = _growing(plant)
+    slow = _slow(plant)
     refused: dict[frozenset[int], str] = {}
     rows = []
     for size in range(1, min(largest, len(plant.faults)) + 1):
         for chosen in combinations(range(len(plant.faults)), size):
             why = next((r for s, r in refused.items() if s <= frozenset(chosen)), "")
             if not why:
-                why = _existence(plant, chosen, growing)[1]
+                why = _existence(plant, chosen, slow)[1]
                 if why:
                     refused[frozenset(chosen)] = why
             names = tuple(plant.faults[j].name for j in chosen)
@@ -171,7 +170,7 @@ def _protectable(plant: Plant) -> dict[str, tuple[str, ...]]:
 
 
 def _worth(plant: Plant) -> tuple[bool, Floor | None]:
-    possible = _existence(plant, range(len(plant.faults)), _growing(plant))[0]
+    possible = _existence(plant, range(len(plant.faults)), _slow(plant))[0]
     return possible, reconstruction_floor(plant)
 
 
@@ -195,15 +194,11 @@ def _order(option: SensorOption) -> tuple[bool, float]:
     return not option.possible, math.inf if option.floor is None else option.floor.value
 
 
-def _growing(plant: Plant) -> bool:
-    """Whether any mode does not decay, up to rounding: without one every healthy part is detectable."""
-    s = np.linalg.eigvals(plant.A)
-    slack = 1e-8 * max(spectral_norm(plant.A), 1e-300)  # generous: a false alarm costs one deflation
-    growth = np.abs(s).max() - 1.0 if plant.sample_time is not None else s.real.max()
-    return bool(growth >= -slack)
+def _slow(plant: Plant) -> SlowModes:
+    return SlowModes.of(plant.A, plant.C, sampled=plant.sample_time is not None)
 
 
-def _existence(plant: Plant, chosen: Sequence[int], growing: bool) -> tuple[bool, str]:
+def _existence(plant: Plant, chosen: Sequence[int], slow: SlowModes) -> tuple[bool, str]:
     """Whether the chosen faults, the others healthy, can be reconstructed, and what stands against it."""
     names = [plant.faults[j].name for j in chosen]
     sensor = [j for j in chosen if plant.faults[j].site == "sensor"]
@@ -213,15 +208,12 @@ def _existence(plant: Plant, chosen: Sequence[int], growing: bool) -> tuple[bool
     if len(sensor) < len(chosen):
         condition = constant_fault(plant.with_faults(names))
         return condition.holds, "" if condition.holds else f"{condition.name} fails"
-    if not growing:
-        return True, ""
-    sampled = plant.sample_time is not None
-    modes = undetectable_modes(plant.A, annihilator(F) @ plant.C, sampled=sampled)
+    modes = slow.undetectable(annihilator(F))
     if not modes:
         return True, ""
     s, states = modes[0].value, ", ".join(living_in(plant, modes[0].direction))
     at = f"{s.real:.4g}" + (f" ± {abs(s.imag):.4g}j" if s.imag else "")
-    return False, f"the healthy sensors do not see the mode at {'z' if sampled else 's'} = {at} ({states})"
+    return False, f"the healthy sensors do not see the mode at {'z' if slow.sampled else 's'} = {at} ({states})"
 
 
 def _isolable(plant: Plant, chosen: Sequence[int]) -> bool:

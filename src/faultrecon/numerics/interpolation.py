@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from faultrecon.numerics.pencil import RANK_TOLERANCE, unobservable_modes, unobservable_subspace
+from faultrecon.numerics.pencil import RANK_TOLERANCE, slow_part, unobservable_modes, unobservable_subspace
 from faultrecon.numerics.scaling import scale_states, spectral_norm, state_scaling
 
 Array = NDArray[Any]
@@ -47,15 +47,17 @@ def hidden_mode_floor(
     A, C1, C2 = (np.asarray(M, dtype=float) for M in (A, C1, C2))
     A, _, C = scale_states(A, np.zeros((A.shape[0], 0)), np.vstack([C1, C2]), state_scaling(A, A[:, :0], C1))
     C1, C2 = C[: C1.shape[0]], C[C1.shape[0] :]
-    N = unobservable_subspace(A, C1, tol)
-    L, W = N.T @ A @ N, C2 @ N
-    visible = _complement(unobservable_subspace(L, W, tol))
+    size = spectral_norm(A)
+    L, V = slow_part(A, sampled=sample_time is not None)
+    N = unobservable_subspace(L, C1 @ V, tol, sizes=(size, spectral_norm(C1)))
+    L, W = N.T @ L @ N, C2 @ (V @ N)
+    visible = _complement(unobservable_subspace(L, W, tol, sizes=(size, spectral_norm(C2))))
     L, W = visible.T @ L @ visible, W @ visible
     if L.shape[0] == 0 or W.shape[0] == 0:
         return HiddenModes(0.0, ())
-    slack = 64 * np.finfo(float).eps * A.shape[0] * max(spectral_norm(A), np.finfo(float).tiny)
+    slack = 64 * np.finfo(float).eps * A.shape[0] * max(size, np.finfo(float).tiny)
     values = np.array([mode.value for mode in unobservable_modes(L, np.zeros((0, L.shape[0])))])
-    growth = np.abs(values) - 1.0 if sample_time is not None else values.real
+    growth = np.abs(values) - 1.0 if sample_time is not None else np.real(values)
     axis = values[np.abs(growth) <= slack]
     rate = np.abs(axis) if sample_time is None else np.abs(axis - 1.0) / sample_time
     slow = slack if sample_time is None else slack / sample_time

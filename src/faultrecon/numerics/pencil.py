@@ -24,6 +24,10 @@ RANK_TOLERANCE = 1e-11
 """Relative to the norm of the balanced model: 1e5 roundings above eps, far below anything typed by hand."""
 
 
+SCATTER = 1e-3
+"""Relative to the model: how far rounding may scatter the eigenvalues of a Jordan block of up to five, eps^(1/5)."""
+
+
 @dataclass(frozen=True, slots=True)
 class Mode:
     """A mode A v = s v and how far the sensors are from missing it.
@@ -45,11 +49,17 @@ def unobservable_modes(A: ArrayLike, C: ArrayLike, *, tol: float = RANK_TOLERANC
     are replaced by their mean.  Measuring a state in other units changes only the units of the direction.
     """
     A, C, unit = _balanced(np.asarray(A, dtype=float), np.asarray(C, dtype=float))
-    N = unobservable_subspace(A, C, tol)
+    return _modes_within(A, C, unit, A, np.eye(A.shape[0]), tol)
+
+
+def _modes_within(A: Array, C: Array, unit: Array, L: Array, V: Array, tol: float) -> list[Mode]:
+    """The unobservable modes of balanced (A, C) within the invariant subspace V, A V = V L."""
+    N = unobservable_subspace(L, C @ V, tol, sizes=(spectral_norm(A), spectral_norm(C)))
     modes = []
-    for value, y in _eigendirections(N.T @ A @ N):
-        v = unit * (N @ y)
-        modes.append(Mode(value, _normalised(v), float(_smallest_singular(A, C, np.array([value]), _weights(A, C))[0])))
+    for value, y in _eigendirections(N.T @ L @ N):
+        v = unit * (V @ (N @ y))
+        distance = _smallest_singular(A, C, np.array([value]), _weights(A, C))[0]
+        modes.append(Mode(value, _normalised(v), float(distance)))
     return sorted(modes, key=lambda mode: (-mode.value.real, -mode.value.imag))
 
 
@@ -58,10 +68,58 @@ def undetectable_modes(A: ArrayLike, C: ArrayLike, *, sampled: bool = False, tol
 
     Re s >= 0, or |s| >= 1 when `sampled`; a mode on the boundary counts, up to the rounding of its eigenvalue.
     """
-    A = np.asarray(A, dtype=float)
-    slack = 64 * np.finfo(float).eps * max(A.shape[0], 1) * spectral_norm(_balanced(A, np.asarray(C, dtype=float))[0])
-    growth = (lambda s: abs(s) - 1.0) if sampled else (lambda s: s.real)
-    return [mode for mode in unobservable_modes(A, C, tol=tol) if growth(mode.value) >= -slack]
+    return SlowModes.of(A, C, sampled=sampled).undetectable(tol=tol)
+
+
+@dataclass(frozen=True, slots=True)
+class SlowModes:
+    """A model in balanced units with the invariant subspace that decides detectability: A V = V L.
+
+    Factored once, asked for many choices of outputs.
+    """
+
+    A: Array
+    C: Array
+    unit: Array
+    L: Array
+    V: Array
+    sampled: bool
+
+    @classmethod
+    def of(cls, A: ArrayLike, C: ArrayLike, *, sampled: bool = False) -> SlowModes:
+        """From A (n, n) and every output C (p, n) there may be."""
+        A, C, unit = _balanced(np.asarray(A, dtype=float), np.asarray(C, dtype=float))
+        return cls(A, C, unit, *slow_part(A, sampled=sampled), sampled)
+
+    def undetectable(self, N: Array | None = None, *, tol: float = RANK_TOLERANCE) -> list[Mode]:
+        """As `undetectable_modes`, for the outputs N C; N: (k, p), all of C by default."""
+        if self.L.shape[0] == 0:
+            return []
+        C = self.C if N is None else N @ self.C
+        slack = 64 * np.finfo(float).eps * self.A.shape[0] * spectral_norm(self.A)
+        growth = (lambda s: abs(s) - 1.0) if self.sampled else (lambda s: s.real)
+        modes = _modes_within(self.A, C, self.unit, self.L, self.V, tol)
+        return [mode for mode in modes if growth(mode.value) >= -slack]
+
+
+def slow_part(A: Array, *, sampled: bool = False) -> tuple[Array, Array]:
+    """L (k, k) and orthonormal V (n, k) with A V = V L: every mode that does not decay, and those that hardly do.
+
+    A deflation over the whole space multiplies its rounding by one small singular value per step; fast modes cannot
+    matter and are left out first.  The generous split keeps the scattered eigenvalues of a Jordan block together.
+    """
+    from scipy.linalg import schur
+
+    if A.shape[0] == 0:
+        return A, A
+    split = SCATTER * max(spectral_norm(A), 1e-300)
+
+    def slow(re: float, im: float = 0.0) -> bool:
+        return (float(np.hypot(re, im)) - 1.0 if sampled else re) >= -split
+
+    L, V, *count = schur(A, sort=slow)
+    k = int(np.asarray(count[0]))
+    return L[:k, :k], V[:, :k]
 
 
 def detectability_margin(A: ArrayLike, C: ArrayLike, *, sampled: bool = False) -> float:
@@ -154,10 +212,14 @@ def _balanced(A: Array, C: Array) -> tuple[Array, Array, Array]:
     return A, C, np.ldexp(1.0, e)
 
 
-def unobservable_subspace(A: Array, C: Array, tol: float) -> Array:
-    """Orthonormal basis of the largest A-invariant subspace of ker C: V <- {v in V : A v in V}, one SVD per step."""
-    N = _kernel(C, tol * spectral_norm(C))
-    limit = tol * spectral_norm(A)
+def unobservable_subspace(A: Array, C: Array, tol: float, sizes: tuple[float, float] | None = None) -> Array:
+    """Orthonormal basis of the largest A-invariant subspace of ker C: V <- {v in V : A v in V}, one SVD per step.
+
+    sizes: what counts as one in A and in C; their norms by default, those of the whole for a part of a model.
+    """
+    size_A, size_C = sizes or (spectral_norm(A), spectral_norm(C))
+    N = _kernel(C, tol * size_C)
+    limit = tol * size_A
     while N.shape[1]:
         image = A @ N
         kept = _kernel(image - N @ (N.T @ image), limit)
