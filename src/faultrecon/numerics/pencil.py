@@ -296,6 +296,8 @@ def _downhill(
     compass = np.array([1, -1, 1j, -1j])
     step = 0.1 * max(abs(s), 1e-3 * max(spectral_norm(A), 1e-300))
     for _ in range(48):
+        if step <= 1e-5 * value * weights[0]:  # the value changes by at most step / a: five digits are settled
+            break
         trial = inside(s + step * compass)
         values = _smallest_singular(A, C, trial, weights)
         k = int(np.argmin(values))
