@@ -5,6 +5,8 @@ Sources: Khosrowjerdi 2011 (floors of the two examples), Alwi, Edwards and Tan 2
 aircraft), Huang, Gao and Liu 2024 (unknown-input decoupling), Jia et al. 2015 (disturbance directions of a robot).
 """
 
+import warnings
+
 import numpy as np
 import pytest
 
@@ -136,6 +138,47 @@ def test_a_bias_that_equals_a_constant_disturbance_is_refused():
     plant = decoupling([[-2, 1, 0], [-1, 0, 0], [1, 1, -3]], [[1, 0, 0], [0, 0, 1]], [1, 0, 0], ["y2"])
     (found,) = decoupling_findings(plant)
     assert found.what == "[A, E; C, F] of full column rank (s = 0) fails: rank 4 of 5"
+
+
+def gains_exist(plant):
+    """Whether a second solver finds P > 0 and gains that stabilise (blkdiag(TA, 0), [C D]), full P (Huang 2024)."""
+    import cvxpy as cp
+
+    Bd, C, D = plant.E_w, plant.C, plant.F_f
+    T = np.eye(plant.n) - Bd @ np.linalg.pinv(C @ Bd) @ C
+    q = D.shape[1]
+    A = np.block([[T @ plant.A, np.zeros((plant.n, q))], [np.zeros((q, plant.n + q))]])
+    both = np.hstack([C, D])
+    P, Y = cp.Variable(A.shape, symmetric=True), cp.Variable((A.shape[0], C.shape[0]))
+    X = P @ A + A.T @ P - Y @ both - both.T @ Y.T
+    # Homogeneous: P >= I and X <= -I are no loss.
+    problem = cp.Problem(cp.Minimize(cp.trace(P)), [P >> np.eye(A.shape[0]), X << -np.eye(A.shape[0])])
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # an inaccurate point is judged by its own eigenvalues
+        problem.solve(solver=cp.CLARABEL)
+    if P.value is None:
+        return False
+    return bool(np.linalg.eigvalsh(P.value).min() > 0.5 and np.linalg.eigvalsh(X.value).max() < -0.5)
+
+
+FLIGHT = [[-0.6803, 2e-4, -1.0490, 0], [-0.1463, -0.0062, -4.6726, -9.7942], [1.005, -6e-4, -0.5717, 0], [1, 0, 0, 0]]
+ARM = [[0, 1, 0, 0], [-48.6, -1.25, 48.6, 0], [0, 0, 0, 10], [1.95, 0, -1.95, 0]]
+TWO_OF_THREE = [[1, 0, 0], [0, 0, 1]]
+
+
+@pytest.mark.parametrize(
+    ("A", "C", "D1", "fault", "possible"),
+    [
+        ([[-2, 1, 0], [-1, 0, 0], [1, 0, -3]], TWO_OF_THREE, [1, -1, 0], "y2", False),
+        ([[-2, 1, 0], [-1, 0, 0], [1, 1, -3]], TWO_OF_THREE, [1, 0, 0], "y2", False),
+        (FLIGHT, np.eye(4)[[0, 1, 3]], [1, -1, 1, 1], "y3", True),
+        (ARM, np.eye(4)[:3], [0.5, 1, 0.5, 1], "y1", True),
+    ],
+)
+def test_the_conditions_and_the_inequality_of_a_second_solver_agree(A, C, D1, fault, possible):
+    plant = decoupling(A, C, D1, [fault])
+    assert (decoupling_findings(plant) == []) == possible
+    assert gains_exist(plant) == possible
 
 
 def robot(D1, faults=("u1",)):
