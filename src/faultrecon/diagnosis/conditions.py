@@ -116,7 +116,8 @@ def survives(plant: Plant) -> Condition:
 def minimum_phase(plant: Plant) -> Condition:
     """(A, E_d, C, F_d) has no invariant zero that does not decay, apart from the origin.
 
-    distance: how fast the slowest zero decays, relative to |A|.  The origin is the matter of `constant_fault`.  Without anything to decouple it is the detectability of (A, C).
+    distance: how fast the slowest zero decays, relative to |A|.  The origin is the matter of `constant_fault`.  Without
+    anything to decouple it is the detectability of (A, C).
     """
     E, F = decoupled_into(plant), decoupled_onto(plant)
     sampled = plant.sample_time is not None
