@@ -81,6 +81,7 @@ CASES = {
     "thau_on_example_4_2": Case(polynomial, "lipschitz-hinf-thau"),
     "alpha_above_the_limit": Case(lambda: polynomial(1.42)),
     "open_loop_on_example_4_2": Case(polynomial, "open-loop"),
+    "slope_too_steep_everywhere": Case(lambda: fr.library("lipschitz_aircraft"), "open-loop"),
     "level_below_the_floor": Case(polynomial, asked={"level": 0.5}),
     "level_below_the_optimum": Case(polynomial, asked={"level": 2.0}),
     "phi_reads_too_much": Case(pendulum, asked={"level": 0.35}),

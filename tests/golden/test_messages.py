@@ -248,6 +248,19 @@ def test_declaring_what_phi_reads_gives_the_level_that_is_printed_with_it():
     assert fr.design(reading_only(plant, names), level=offered(text)).level == offered(text)
 
 
+def test_a_slope_put_into_the_linear_part_leaves_a_remainder_that_shrinks_with_the_domain():
+    """Example 4.1 saturates beyond one: with its slope of one in A, nothing is left in phi below that."""
+    text, plant = remedy("slope_too_steep_everywhere", "into A"), CASES["slope_too_steep_everywhere"].plant()
+    assert "operating point, 1," in text
+    term = plant.nonlinearity
+    assert term is not None
+    names = {"x": ["x1"], "u": plant.signals.u.names, "t": ["t"]}
+    rest = fr.Graph.from_texts(["0.5*(abs(x1 + 1) - abs(x1 - 1)) - x1"], names)
+    others = {"u": [(0.0, 0.0)] * len(plant.signals.u), "t": [(0.0, 0.0)]}
+    assert lipschitz_bound(rest, "x", [(-0.9, 0.9)], others=others).value < 1e-12
+    assert lipschitz_bound(rest, "x", [(-2.0, 2.0)], others=others).value >= 1.0
+
+
 def test_where_a_design_exists_nothing_is_held_against_it():
     found = fr.why_not(mass(LASER))
     assert found.stage == "none"

@@ -18,6 +18,7 @@ from faultrecon.advise.tradeoff import (
     leans_on_inputs,
     optimum_of,
     scaling_suspects,
+    slope_at_point,
     smaller_domain,
     states_used,
 )
@@ -112,8 +113,23 @@ def _weaker(question: Question, exchange: TradeOff, level: float | None) -> list
             f'shrink the domain to {found} with lipschitz = "derive": {found.constant:.4g} is proved there, and'
             f" γ ≥ {BACKOFF * best:.4g} can be had"
         ]
-    why = "phi reads an input or the time" if leans_on_inputs(term) else "its slope is larger at the operating point"
-    return [f"lower the Lipschitz constant to {wanted:.4g}; no smaller domain was found that does it: {why}"]
+    return [_slope_remains(question.plant, wanted)]
+
+
+def _slope_remains(plant: Plant, wanted: float) -> str:
+    """What to say where no domain was found: φ is too steep even at the operating point, or nothing could be proved."""
+    slope = slope_at_point(plant)
+    if slope is not None and slope > wanted:
+        return (
+            f"put the slope of phi at the operating point, {slope:.4g}, into A and keep the rest in phi: no smaller domain"
+            f" brings the constant to {wanted:.4g} as it stands, that of the rest shrinks with the domain"
+        )
+    why = (
+        "reads an input or the time"
+        if plant.nonlinearity and leans_on_inputs(plant.nonlinearity)
+        else "resists a proof"
+    )
+    return f"show that the Lipschitz constant is {wanted:.4g} or less on a smaller domain and declare it: phi {why}"
 
 
 def _tighter(question: Question, exchange: TradeOff) -> Domain | None:

@@ -196,9 +196,8 @@ def strongest_component(plant: Plant) -> tuple[str, float, float] | None:
     term = plant.nonlinearity
     if term is None or term.phi.n_outputs < 2 or set(term.domain) != set(term.reads) or leans_on_inputs(term):
         return None
-    others = {group: [(0.0, 0.0)] * len(term.phi.inputs[group]) for group in ("u", "t")}
     try:
-        bounds = lipschitz_per_channel(term.phi, "x", [term.domain[name] for name in term.reads], others=others)
+        bounds = lipschitz_per_channel(term.phi, "x", [term.domain[name] for name in term.reads], others=_nowhere(term))
     except InputError:
         return None
     values = np.array([b.value for b in bounds])
@@ -236,12 +235,29 @@ def _on(term: Lipschitz, box: Mapping[str, tuple[float, float]]) -> Domain | Non
     """The box with its constant; None where nothing is proved, or where the proof would lean on inputs or the time."""
     if any(a >= b for a, b in box.values()) or leans_on_inputs(term):
         return None
-    others = {group: [(0.0, 0.0)] * len(term.phi.inputs[group]) for group in ("u", "t")}
     try:
-        bound = lipschitz_bound(term.phi, "x", [box[name] for name in term.reads], others=others)
+        bound = lipschitz_bound(term.phi, "x", [box[name] for name in term.reads], others=_nowhere(term))
     except InputError:
         return None
     return Domain(box, bound.value) if math.isfinite(bound.value) else None
+
+
+def slope_at_point(plant: Plant) -> float | None:
+    """The steepest slope of φ in a millionth of its domain about the operating point; None where nobody can tell."""
+    term = plant.nonlinearity
+    if term is None or not term.reads or leans_on_inputs(term):
+        return None
+    centre, half = _shape(plant, term)
+    box = [(float(c - 1e-6 * below), float(c + 1e-6 * above)) for c, (below, above) in zip(centre, half, strict=True)]
+    try:
+        return lipschitz_bound(term.phi, "x", box, others=_nowhere(term)).lower
+    except InputError:
+        return None
+
+
+def _nowhere(term: Lipschitz) -> dict[str, list[tuple[float, float]]]:
+    """One point for the groups that φ does not look at."""
+    return {group: [(0.0, 0.0)] * len(term.phi.inputs[group]) for group in ("u", "t")}
 
 
 def leans_on_inputs(term: Lipschitz) -> bool:
