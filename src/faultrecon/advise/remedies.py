@@ -121,8 +121,8 @@ def _slope_remains(plant: Plant, wanted: float) -> str:
     slope = slope_at_point(plant)
     if slope is not None and slope > wanted:
         return (
-            f"put the slope of phi at the operating point, {slope:.4g}, into A and keep the rest in phi: no smaller domain"
-            f" brings the constant to {wanted:.4g} as it stands, that of the rest shrinks with the domain"
+            f"put the slope of phi at the operating point, {slope:.4g}, into A and keep the rest in phi: no smaller"
+            f" domain brings the constant to {wanted:.4g} as it stands, that of the rest shrinks with the domain"
         )
     why = (
         "reads an input or the time"
