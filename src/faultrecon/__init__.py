@@ -36,6 +36,9 @@ _DOOR = {
     "Scenario": "faultrecon.simulation.scenario",
     "study": "faultrecon.simulation.study",
     "compare": "faultrecon.advise.comparison",
+    "recommend": "faultrecon.advise.recommendation",
+    "best": "faultrecon.advise.recommendation",
+    "why_not": "faultrecon.advise.why_not",
     "reproduce": "faultrecon.advise.reproductions",
     "Plant": "faultrecon.plant.plant",
     "OperatingPoint": "faultrecon.plant.plant",
@@ -81,6 +84,7 @@ __all__ = [
     "Scenario",
     "Signals",
     "__version__",
+    "best",
     "cite",
     "compare",
     "design",
@@ -95,6 +99,7 @@ __all__ = [
     "load",
     "optimum",
     "read_log",
+    "recommend",
     "reconstruct",
     "replay",
     "reproduce",
@@ -103,12 +108,15 @@ __all__ = [
     "simulate",
     "study",
     "verify",
+    "why_not",
     "write_log",
 ]
 
 if TYPE_CHECKING:
     from faultrecon.advise.comparison import compare
+    from faultrecon.advise.recommendation import best, recommend
     from faultrecon.advise.reproductions import reproduce
+    from faultrecon.advise.why_not import why_not
     from faultrecon.certificate import Certificate, verify
     from faultrecon.diagnosis.diagnosis import Diagnosis, diagnose
     from faultrecon.finding import FaultreconError, Finding, Impossible, Inconclusive, InputError

@@ -19,6 +19,7 @@ from faultrecon.lmi.expr import I, __, given, sym, unknown
 from faultrecon.lmi.problem import Problem
 from faultrecon.lmi.solve import conic_data, solve
 from faultrecon.methods.registry import method
+from faultrecon.numerics.level import optimal_level
 from faultrecon.synthesis.levels import pose
 
 EXAMPLES = ["lipschitz_aircraft", "lipschitz_polynomial"]
@@ -110,8 +111,12 @@ def test_random_plants_have_the_oracles_optimum(seed, n):
     outcome = ours(*data)
     if status == "optimal":
         assert outcome.solved
-        # CVXPY asks Clarabel for 1e-8 of the objective; infima that are not attained cost two or three digits more.
-        assert outcome.objective == pytest.approx(reference, rel=3e-5, abs=1e-7)
+        # CVXPY asks Clarabel for 1e-8 of the objective; infima that are not attained cost two or three digits more, so
+        # it may stop above the infimum. Where it does, a bound by Riccati equations has to confirm the lower value.
+        assert outcome.objective <= reference * (1 + 3e-5) + 1e-7
+        if outcome.objective < reference * (1 - 3e-5) - 1e-7:
+            A, Bφ, Hφ, B, C1, E1, C2, E2, α = data
+            assert outcome.objective >= optimal_level(A, Bφ, B, C1, E1, -C2, -E2, Hφ, α).lower ** 2 * (1 - 1e-6)
     elif status == "infeasible":
         assert outcome.status != "solved"
 

@@ -10,7 +10,7 @@ from typing import Annotated
 import typer
 
 from faultrecon.cli.root import Faults, Json, PlantName, app, plant_named
-from faultrecon.cli.shell import NEGATIVE, answer, bar, guarded, speak_any_letter, stages
+from faultrecon.cli.shell import NEGATIVE, answer, bar, guarded, speak_any_letter
 
 
 def run_app() -> None:
@@ -35,22 +35,31 @@ def new(
 
 
 @app.command()
-def check(plant: PlantName, faults: Faults = None, as_json: Json = False) -> None:
-    """Can these faults be reconstructed, and if not, why not?"""
+def check(
+    plant: PlantName,
+    faults: Faults = None,
+    sensors: Annotated[
+        bool, typer.Option("--sensors", help="Tell what one more sensor would do, and which faults can be had at once.")
+    ] = False,
+    as_json: Json = False,
+) -> None:
+    """Can these faults be reconstructed, and if not, why not? Which methods apply?"""
     with guarded(as_json):
-        from faultrecon.diagnosis.diagnosis import diagnose
+        from faultrecon.cli.checking import examined
 
         model = plant_named(plant)
-        found = diagnose(model.with_faults(faults) if faults else model)
-        answer(as_json, found.as_dict() | {"possible": found.possible}, str(found))
-        if not found.possible:
+        possible, data, text = examined(model.with_faults(faults) if faults else model, sensors)
+        answer(as_json, data, text)
+        if not possible:
             raise SystemExit(NEGATIVE)
 
 
 @app.command()
 def design(
     plant: PlantName,
-    method: Annotated[str, typer.Option("--method", "-m", help="See `faultrecon methods`.")] = "lipschitz-hinf",
+    method: Annotated[
+        str, typer.Option("--method", "-m", help="See `faultrecon methods`; 'best' compares them.")
+    ] = "lipschitz-hinf",
     out: Annotated[
         Path | None,
         typer.Option("--out", "-o", help="Where to write the design file (.json)."),
@@ -71,30 +80,35 @@ def design(
     ] = None,
     as_json: Json = False,
 ) -> None:
-    """Find gains, back off, round, prove, and write the design with its certificate."""
+    """Find gains, back off, round, prove, and write the design with its certificate.
+
+    Where there is no design, say why, and what would help.
+    """
     with guarded(as_json):
+        from faultrecon.cli.designing import make_design
         from faultrecon.io.designfile import target, write_design
-        from faultrecon.synthesis.pipeline import design as make
 
         if out is not None:
             target(out)  # an unsuitable name is refused before the work, not after it
         model = plant_named(plant)
-        with stages("designing") as tell:
-            made = make(
-                model,
-                method,
-                faults=faults,
-                level=level,
-                backoff=backoff,
-                pole_bound=_bound(pole_bound),
-                fix=_held(fix or []),
-                free=free or (),
-                progress=tell,
-            )
+        made, said, chosen = make_design(
+            model.with_faults(faults) if faults else model,
+            method,
+            as_json,
+            level=level,
+            backoff=backoff,
+            pole_bound=_bound(pole_bound),
+            fix=_held(fix or []),
+            free=tuple(free or ()),
+        )
         if out is not None:
             write_design(made, out)
-        text = made.report() + (f"\nwrote {out}" if out is not None else "\nnothing written; add --out design.json")
-        answer(as_json, made.as_dict() | {"written": None if out is None else str(out)}, text)
+        where = f"\nwrote {out}" if out is not None else "\nnothing written; add --out design.json"
+        answer(
+            as_json,
+            made.as_dict() | said | {"written": None if out is None else str(out)},
+            chosen + made.report() + where,
+        )
 
 
 def _held(pairs: list[str]) -> dict[str, float]:

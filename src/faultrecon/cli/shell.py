@@ -58,14 +58,19 @@ def _json(data: Mapping[str, Any]) -> str:
     return json.dumps(plain(data), ensure_ascii=not unicode, indent=1)
 
 
-def leave(error: FaultreconError, as_json: bool) -> NoReturn:
-    """End with the exit code of an error; the message goes to the error stream, JSON to the output."""
+def leave(
+    error: FaultreconError, as_json: bool, *, also: Mapping[str, Any] | None = None, text: str | None = None
+) -> NoReturn:
+    """End with the exit code of an error; the message goes to the error stream, JSON to the output.
+
+    also: further keys of the JSON.  text: what to print in place of the message.
+    """
     try:
         if as_json:
-            print(_json({"error": error.finding.as_dict()}), flush=True)
+            print(_json({"error": error.finding.as_dict(), **(also or {})}), flush=True)
     except OSError:  # nobody listens, or the disk is full; the exit code still tells
         _abandon_output()
-    print(f"faultrecon: {error}", file=sys.stderr)
+    print(f"faultrecon: {text or error}", file=sys.stderr)
     raise SystemExit(error.exit_code)
 
 

@@ -5,9 +5,11 @@ from __future__ import annotations
 
 import numpy as np
 
+from faultrecon.diagnosis import conditions
+from faultrecon.diagnosis.conditions import Condition
 from faultrecon.finding import Finding
 from faultrecon.numerics.annihilator import annihilator, column_rank
-from faultrecon.numerics.pencil import Mode, detectability_margin, undetectable_modes
+from faultrecon.numerics.pencil import Mode, undetectable_modes
 from faultrecon.plant.plant import Plant
 
 HAIR = 1e-6
@@ -98,8 +100,8 @@ def detectability_findings(plant: Plant) -> list[Finding]:
     modes = undetectable_modes(plant.A, C1, sampled=plant.sample_time is not None)
     if modes:
         return [_undetectable(plant, mode, N.shape[0]) for mode in modes if mode.value.imag >= 0]
-    margin = detectability_margin(plant.A, C1, sampled=plant.sample_time is not None) if C1.shape[0] else np.inf
-    if margin < HAIR:
+    margin = conditions.detectable(plant).distance
+    if C1.shape[0] and margin < HAIR:
         return [
             Finding(
                 f"the healthy sensors detect every mode of {plant.name} by a hair",
@@ -112,15 +114,101 @@ def detectability_findings(plant: Plant) -> list[Finding]:
     return []
 
 
+def assumptions(plant: Plant) -> tuple[Condition, ...]:
+    """Every assumption of the literature that bears on the declared faults and disturbances, with its distance.
+
+    The detectability of the healthy part for sensor faults; the constant fault model; and, where something is to be
+    decoupled or an actuator may fail, the rank conditions and the zeros.
+    """
+    found = []
+    if any(f.site == "sensor" for f in plant.faults):
+        found.append(conditions.detectable(plant))
+    if _unknown_inputs_declared(plant):
+        found += _decoupling(plant)
+    if plant.faults:
+        found.append(conditions.constant_fault(plant))
+    return tuple(found)
+
+
+def decoupling_findings(plant: Plant) -> list[Finding]:
+    """What forbids decoupling the disturbances with role "decouple" while faults are reconstructed as slowly varying.
+
+    rank(C E_d) = rank(E_d), rank(J E_f) = q, (A, E_d, C) minimum phase, and the constant fault condition; the first
+    that fails is fatal, and one that holds by a hair is a warning.  Sources: [Huang 2024], [Jia 2015], re-derived.
+    """
+    for condition in _decoupling(plant):
+        if not condition.holds:
+            return [_failed(plant, condition)]
+    found = constant_fault_findings(plant)
+    if any(f.severity == "fatal" for f in found):
+        return found
+    return [_by_a_hair(plant, c) for c in _decoupling(plant) if c.distance < HAIR] + found
+
+
+def constant_fault_findings(plant: Plant) -> list[Finding]:
+    """Whether a constant fault can be told from a plant at rest: the condition at s = 0, z = 1 when sampled."""
+    condition = conditions.constant_fault(plant)
+    if not condition.holds:
+        return [_failed(plant, condition)]
+    return [_by_a_hair(plant, condition)] if condition.distance < HAIR else []
+
+
+def _unknown_inputs_declared(plant: Plant) -> bool:
+    return any(f.site == "actuator" for f in plant.faults) or any(d.role == "decouple" for d in plant.attenuated)
+
+
+def _decoupling(plant: Plant) -> list[Condition]:
+    return [conditions.decouplable(plant), conditions.survives(plant), conditions.minimum_phase(plant)]
+
+
+_MEANING = {
+    "rank(C E_d) = rank(E_d)": "the measurements do not show at once what is to be decoupled, so no gain removes it",
+    "rank(J E_f) = q": "an actuator fault enters the states exactly as what is decoupled, so both vanish together",
+    "(A, E_d, C) minimum phase": "the plant can move along that mode with every measurement at zero",
+}
+
+
+def _failed(plant: Plant, condition: Condition) -> Finding:
+    why = _MEANING.get(condition.name, "a constant fault, a constant unknown input or a drift cancel in every sensor")
+    said = condition.where is None or condition.name.endswith((" = 0)", " = 1)"))
+    at = "" if said or condition.where is None else f" at {_point(plant, condition.where)}"
+    lives = f"; it lives in {', '.join(condition.states)}" if condition.states else ""
+    names = [d.name for d in plant.attenuated if d.role == "decouple"]
+    remedies = [f'attenuate {" and ".join(names)} instead of decoupling (role = "attenuate")'] if names else []
+    remedies.append(f"add a sensor that reads {condition.states[0]}" if condition.states else "add a sensor")
+    return Finding(
+        f"{condition.name} fails{at}: rank {condition.rank} of {condition.needed}",
+        why=why + lives,
+        evidence={"condition": condition.as_dict(), "rank": condition.rank, "needed": condition.needed},
+        remedies=tuple(remedies),
+        see=condition.see,
+    )
+
+
+def _by_a_hair(plant: Plant, condition: Condition) -> Finding:
+    return Finding(
+        f"{condition.name} holds for {plant.name} by a hair",
+        why=f"a relative change of {condition.distance:.1e} of the model would break it",
+        evidence={"distance": condition.distance, "condition": condition.as_dict()},
+        remedies=("add a sensor", "check the model where it is weakest"),
+        see=condition.see,
+        severity="warning",
+    )
+
+
+def _point(plant: Plant, s: complex) -> str:
+    letter = "s" if plant.sample_time is None else "z"
+    return f"{letter} = {s.real:.4g}" + (f" ± {abs(s.imag):.4g}j" if s.imag else "")
+
+
 def _undetectable(plant: Plant, mode: Mode, healthy: int) -> Finding:
-    weight = np.abs(mode.direction)
-    states = [plant.signals.x.names[i] for i in np.argsort(-weight) if weight[i] > 0.1 * weight.max()][:3]
-    s = f"{mode.value.real:.4g}" + (f" ± {mode.value.imag:.4g}j" if mode.value.imag else "")
+    states = list(conditions.living_in(plant, mode.direction))
+    at = _point(plant, mode.value)
     if healthy == 0:
         what = "no sensor stays healthy and the plant does not settle by itself"
-        why = f"its mode at s = {s} does not decay"
+        why = f"its mode at {at} does not decay"
     else:
-        what = f"the healthy sensors do not see the mode at s = {s}, which does not decay"
+        what = f"the healthy sensors do not see the mode at {at}, which does not decay"
         why = f"(A, C1) is not detectable; the mode lives in {', '.join(states)}"
     return Finding(
         what,

@@ -115,7 +115,11 @@ def _compile(program: Program) -> Kernels:
         return _run(program, None)
     except Exception as error:  # Numba and LLVM raise whatever they like; the caller has another engine
         reason = str(error).strip().splitlines() or [""]
-        raise Inconclusive("the program could not be compiled", why=f"{type(error).__name__}: {reason[0]}") from error
+        raise Inconclusive(
+            "the program could not be compiled",
+            why=f"{type(error).__name__}: {reason[0]}",
+            remedies=('use the other engine (engine="casadi")',),
+        ) from error
 
 
 def _written(path: Path, text: str) -> bool:

@@ -24,6 +24,10 @@ RANK_TOLERANCE = 1e-11
 """Relative to the norm of the balanced model: 1e5 roundings above eps, far below anything typed by hand."""
 
 
+SCATTER = 1e-3
+"""Relative to the model: how far rounding may scatter the eigenvalues of a Jordan block of up to five, eps^(1/5)."""
+
+
 @dataclass(frozen=True, slots=True)
 class Mode:
     """A mode A v = s v and how far the sensors are from missing it.
@@ -45,11 +49,17 @@ def unobservable_modes(A: ArrayLike, C: ArrayLike, *, tol: float = RANK_TOLERANC
     are replaced by their mean.  Measuring a state in other units changes only the units of the direction.
     """
     A, C, unit = _balanced(np.asarray(A, dtype=float), np.asarray(C, dtype=float))
-    N = unobservable_subspace(A, C, tol)
+    return _modes_within(A, C, unit, A, np.eye(A.shape[0]), tol)
+
+
+def _modes_within(A: Array, C: Array, unit: Array, L: Array, V: Array, tol: float) -> list[Mode]:
+    """The unobservable modes of balanced (A, C) within the invariant subspace V, A V = V L."""
+    N = unobservable_subspace(L, C @ V, tol, sizes=(spectral_norm(A), spectral_norm(C)))
     modes = []
-    for value, y in _eigendirections(N.T @ A @ N):
-        v = unit * (N @ y)
-        modes.append(Mode(value, _normalised(v), float(_smallest_singular(A, C, np.array([value]))[0])))
+    for value, y in _eigendirections(N.T @ L @ N):
+        v = unit * (V @ (N @ y))
+        distance = _smallest_singular(A, C, np.array([value]), _weights(A, C))[0]
+        modes.append(Mode(value, _normalised(v), float(distance)))
     return sorted(modes, key=lambda mode: (-mode.value.real, -mode.value.imag))
 
 
@@ -58,10 +68,58 @@ def undetectable_modes(A: ArrayLike, C: ArrayLike, *, sampled: bool = False, tol
 
     Re s >= 0, or |s| >= 1 when `sampled`; a mode on the boundary counts, up to the rounding of its eigenvalue.
     """
-    A = np.asarray(A, dtype=float)
-    slack = 64 * np.finfo(float).eps * max(A.shape[0], 1) * spectral_norm(_balanced(A, np.asarray(C, dtype=float))[0])
-    growth = (lambda s: abs(s) - 1.0) if sampled else (lambda s: s.real)
-    return [mode for mode in unobservable_modes(A, C, tol=tol) if growth(mode.value) >= -slack]
+    return SlowModes.of(A, C, sampled=sampled).undetectable(tol=tol)
+
+
+@dataclass(frozen=True, slots=True)
+class SlowModes:
+    """A model in balanced units with the invariant subspace that decides detectability: A V = V L.
+
+    Factored once, asked for many choices of outputs.
+    """
+
+    A: Array
+    C: Array
+    unit: Array
+    L: Array
+    V: Array
+    sampled: bool
+
+    @classmethod
+    def of(cls, A: ArrayLike, C: ArrayLike, *, sampled: bool = False) -> SlowModes:
+        """From A (n, n) and every output C (p, n) there may be."""
+        A, C, unit = _balanced(np.asarray(A, dtype=float), np.asarray(C, dtype=float))
+        return cls(A, C, unit, *slow_part(A, sampled=sampled), sampled)
+
+    def undetectable(self, N: Array | None = None, *, tol: float = RANK_TOLERANCE) -> list[Mode]:
+        """As `undetectable_modes`, for the outputs N C; N: (k, p), all of C by default."""
+        if self.L.shape[0] == 0:
+            return []
+        C = self.C if N is None else N @ self.C
+        slack = 64 * np.finfo(float).eps * self.A.shape[0] * spectral_norm(self.A)
+        growth = (lambda s: abs(s) - 1.0) if self.sampled else (lambda s: s.real)
+        modes = _modes_within(self.A, C, self.unit, self.L, self.V, tol)
+        return [mode for mode in modes if growth(mode.value) >= -slack]
+
+
+def slow_part(A: Array, *, sampled: bool = False) -> tuple[Array, Array]:
+    """L (k, k) and orthonormal V (n, k) with A V = V L: every mode that does not decay, and those that hardly do.
+
+    A deflation over the whole space multiplies its rounding by one small singular value per step; fast modes cannot
+    matter and are left out first.  The generous split keeps the scattered eigenvalues of a Jordan block together.
+    """
+    from scipy.linalg import schur
+
+    if A.shape[0] == 0:
+        return A, A
+    split = SCATTER * max(spectral_norm(A), 1e-300)
+
+    def slow(re: float, im: float = 0.0) -> bool:
+        return (float(np.hypot(re, im)) - 1.0 if sampled else re) >= -split
+
+    L, V, *count = schur(A, sort=slow)
+    k = int(np.asarray(count[0]))
+    return L[:k, :k], V[:, :k]
 
 
 def detectability_margin(A: ArrayLike, C: ArrayLike, *, sampled: bool = False) -> float:
@@ -71,9 +129,34 @@ def detectability_margin(A: ArrayLike, C: ArrayLike, *, sampled: bool = False) -
     when `sampled`): candidates are the boundary, searched on a grid, and the eigenvalues of A moved into the region,
     the best few followed downhill.  Zero: undetectable.  1e-6: holds by a hair.  An upper bound of the distance.
     """
+    return nearest_undetectable(A, C, sampled=sampled)[0]
+
+
+def nearest_undetectable(A: ArrayLike, C: ArrayLike, *, sampled: bool = False) -> tuple[float, complex]:
+    """`detectability_margin` and the s, Im s >= 0, at which it was found."""
     A, C, _ = _balanced(np.asarray(A, dtype=float), np.asarray(C, dtype=float))
+    value, s = _nearest(A, C, _weights(A, C), sampled)
+    return value, complex(s.real, abs(s.imag))
+
+
+def distance_to_undetectability(A: ArrayLike, C: ArrayLike, *, sampled: bool = False) -> tuple[float, complex]:
+    """The smallest sigma_min([sI - A; C]) found over s with Re s >= 0 (|s| >= 1 when `sampled`), and that s, Im s >= 0.
+
+    In the units as given, as the literature tabulates it; `detectability_margin` is the same in balanced units.
+    """
+    A, C = np.asarray(A, dtype=float), np.asarray(C, dtype=float)
+    value, s = _nearest(A, C, (1.0, 1.0), sampled)
+    return value, complex(s.real, abs(s.imag))
+
+
+def _weights(A: Array, C: Array) -> tuple[float, float]:
+    return max(spectral_norm(A), 1e-300), max(spectral_norm(C), 1e-300)
+
+
+def _nearest(A: Array, C: Array, weights: tuple[float, float], sampled: bool) -> tuple[float, complex]:
+    """Where in the region of modes that do not decay the sensors are nearest to missing one, and by how much."""
     if A.shape[0] == 0:
-        return np.inf
+        return np.inf, 0j
 
     def inside(s: Complex) -> Complex:
         if sampled:
@@ -88,9 +171,10 @@ def detectability_margin(A: ArrayLike, C: ArrayLike, *, sampled: bool = False) -
         smallest = np.abs(poles)[np.abs(poles) > 1e-12 * radius].min(initial=radius)
         boundary = 1j * np.concatenate([[0.0], np.geomspace(0.1 * smallest, 2.0 * radius, 120)])
     s = inside(np.concatenate([poles[poles.imag >= 0], 1j * np.abs(poles.imag) if not sampled else [], boundary]))
-    value = _smallest_singular(A, C, s)
+    value = _smallest_singular(A, C, s, weights)
     best = np.argsort(value)[:4]
-    return float(min(_downhill(A, C, complex(s[k]), float(value[k]), inside) for k in best))
+    found = [_downhill(A, C, complex(s[k]), float(value[k]), inside, weights) for k in best]
+    return min(found, key=lambda pair: pair[0])
 
 
 def invariant_zeros(A: ArrayLike, B: ArrayLike, C: ArrayLike, D: ArrayLike, *, tol: float = RANK_TOLERANCE) -> Complex:
@@ -128,10 +212,14 @@ def _balanced(A: Array, C: Array) -> tuple[Array, Array, Array]:
     return A, C, np.ldexp(1.0, e)
 
 
-def unobservable_subspace(A: Array, C: Array, tol: float) -> Array:
-    """Orthonormal basis of the largest A-invariant subspace of ker C: V <- {v in V : A v in V}, one SVD per step."""
-    N = _kernel(C, tol * spectral_norm(C))
-    limit = tol * spectral_norm(A)
+def unobservable_subspace(A: Array, C: Array, tol: float, sizes: tuple[float, float] | None = None) -> Array:
+    """Orthonormal basis of the largest A-invariant subspace of ker C: V <- {v in V : A v in V}, one SVD per step.
+
+    sizes: what counts as one in A and in C; their norms by default, those of the whole for a part of a model.
+    """
+    size_A, size_C = sizes or (spectral_norm(A), spectral_norm(C))
+    N = _kernel(C, tol * size_C)
+    limit = tol * size_A
     while N.shape[1]:
         image = A @ N
         kept = _kernel(image - N @ (N.T @ image), limit)
@@ -192,29 +280,32 @@ def _normalised(v: Complex) -> Complex:
     return v / (np.linalg.norm(v) * largest / abs(largest))
 
 
-def _smallest_singular(A: Array, C: Array, s: Complex) -> Array:
-    """sigma_min([(sI - A)/|A|; C/|C|]) for every s."""
-    n = A.shape[0]
-    a, c = max(spectral_norm(A), 1e-300), max(spectral_norm(C), 1e-300)
+def _smallest_singular(A: Array, C: Array, s: Complex, weights: tuple[float, float]) -> Array:
+    """sigma_min([(sI - A)/a; C/c]) for every s, with weights (a, c)."""
+    n, (a, c) = A.shape[0], weights
     stack = np.empty((s.size, n + C.shape[0], n), dtype=complex)
     stack[:, :n] = (s[:, None, None] * np.eye(n) - A) / a
     stack[:, n:] = C / c
     return np.linalg.svd(stack, compute_uv=False)[:, -1]
 
 
-def _downhill(A: Array, C: Array, s: complex, value: float, inside: Callable[[Any], Any]) -> float:
-    """Compass search for a local minimum of the smallest singular value inside the region."""
+def _downhill(
+    A: Array, C: Array, s: complex, value: float, inside: Callable[[Any], Any], weights: tuple[float, float]
+) -> tuple[float, complex]:
+    """Compass search for a local minimum of the smallest singular value inside the region, and where it is."""
     compass = np.array([1, -1, 1j, -1j])
     step = 0.1 * max(abs(s), 1e-3 * max(spectral_norm(A), 1e-300))
     for _ in range(48):
+        if step <= 1e-5 * value * weights[0]:  # the value changes by at most step / a: five digits are settled
+            break
         trial = inside(s + step * compass)
-        values = _smallest_singular(A, C, trial)
+        values = _smallest_singular(A, C, trial, weights)
         k = int(np.argmin(values))
         if values[k] < value:
-            s, value = trial[k], float(values[k])
+            s, value = complex(trial[k]), float(values[k])
         else:
             step *= 0.35
-    return value
+    return value, s
 
 
 def _equilibrate(M: Array) -> Array:

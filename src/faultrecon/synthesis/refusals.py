@@ -58,6 +58,8 @@ def no_answer(posed: Posed, outcome: Outcome) -> Finding:
         f"the solver gave up on {posed.method.name} for {posed.plant.name}",
         why=f"its last word was '{outcome.solver}'; that is neither a solution nor a proof that there is none",
         remedies=("declare signal ranges so that the problem is scaled", "check the model's units"),
+        evidence={"solver": outcome.solver},
+        see=f"Theorem {posed.theorem.number}",
     )
 
 
@@ -68,4 +70,5 @@ def no_proof(posed: Posed, rungs: Sequence[Rung]) -> Finding:
         why="; ".join(str(rung) for rung in rungs),
         evidence={"tried": [str(rung) for rung in rungs]},
         remedies=("ask for a larger level", "declare signal ranges so that the problem is scaled", "relax pole_bound"),
+        see=f"Theorem {posed.theorem.number}",
     )

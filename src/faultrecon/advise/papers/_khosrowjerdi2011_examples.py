@@ -64,7 +64,11 @@ def central(plant: Plant, gamma: float, beta: float, alpha: float | None = None)
     arguments = (plant.A, plant.G, B, N @ plant.C, N @ E, -Fp @ plant.C, -Fp @ E, np.eye(plant.n), alpha)
     found = central_gain(*arguments, beta, gamma)
     if found is None:
-        raise Impossible(f"no gain reaches γ = {gamma:g} at β = {beta:g}")
+        raise Impossible(
+            f"no gain reaches γ = {gamma:g} at β = {beta:g}",
+            remedies=("ask for more than the optimum (`optimum(plant, fix={'β': ...})`)",),
+            see="Khosrowjerdi 2011, Theorem 3.1",
+        )
     return {"L": found.L, "K1": np.zeros((len(plant.faults), N.shape[0]))}
 
 

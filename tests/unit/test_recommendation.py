@@ -1,0 +1,117 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Which methods apply, which one is picked, and how the command line says why there is no design."""
+
+import json
+from dataclasses import replace
+
+import pytest
+
+import faultrecon as fr
+from faultrecon.advise.recommendation import EQUAL, error_of
+from faultrecon.advise.trials import trial_plants
+from faultrecon.advise.why_not import why_failed
+from faultrecon.cli.app import app
+
+SPRING, PENDULUM = trial_plants()
+
+
+@pytest.fixture
+def cli(capsys):
+    """Runs a command line here; gives exit code, output and messages."""
+
+    def run(*arguments):
+        capsys.readouterr()
+        with pytest.raises(SystemExit) as left:
+            app([str(a) for a in arguments])
+        return left.value.code or 0, *capsys.readouterr()
+
+    return run
+
+
+def test_every_method_is_in_the_table_and_applies_or_says_why_not():
+    for plant in (SPRING, fr.library("lipschitz_polynomial"), replace(SPRING, sample_time=0.1)):
+        advice = fr.recommend(plant)
+        assert {row.method for row in advice.table} == set(fr.list_methods())
+        assert all(row.applies or row.findings for row in advice.table)
+        assert all(name in str(advice) for name in fr.list_methods())
+
+
+def test_baselines_are_recommended_after_methods():
+    assert fr.recommend(SPRING).applicable == ("lipschitz-hinf", "open-loop")
+
+
+def test_a_method_whose_assumption_fails_is_not_recommended():
+    advice = fr.recommend(fr.library("lipschitz_polynomial"))
+    assert advice.applicable == ("lipschitz-hinf",)
+    assert "has to stay below 1" in str(advice)
+    assert not advice["open-loop"].applies
+
+
+def test_the_best_has_a_certificate_and_no_other_that_has_one_is_clearly_better_in_the_scenario():
+    found = fr.best(SPRING)
+    entries = [e for e in found.table.entries if e.level is not None and e.scores]
+    assert {e.method for e in entries} >= {"lipschitz-hinf", "open-loop"}
+    assert error_of(found.table[found.method]) <= EQUAL * min(error_of(e) for e in entries)
+    assert found.method in str(found)
+    assert found.rule in str(found)
+    made = found.design()
+    assert made.method == found.method
+    assert made.verification is not None
+    assert made.verification.sound
+
+
+def test_where_nothing_applies_there_is_no_best_and_the_message_says_where_to_look():
+    with pytest.raises(fr.Impossible, match=r"none of .* methods applies") as refused:
+        fr.best(replace(SPRING, sample_time=0.1))
+    assert "faultrecon check" in refused.value.finding.remedies[0]
+
+
+def test_design_with_the_best_method_says_which_and_by_what_rule(cli, tmp_path):
+    code, out, err = cli("design", "lipschitz_polynomial", "--method", "best", "--out", tmp_path / "d.json")
+    assert (code, err) == (0, "")
+    assert "picked: lipschitz-hinf" in out
+    assert "rule: of the designs that carry a certificate" in out
+    assert (tmp_path / "d.json").exists()
+    code, out, _ = cli("design", "lipschitz_polynomial", "--method", "best", "--json")
+    assert json.loads(out)["picked"]["method"] == json.loads(out)["method"] == "lipschitz-hinf"
+
+
+def test_a_design_that_cannot_be_is_explained_with_numbers_and_code_1(cli):
+    code, out, err = cli("design", "lipschitz_polynomial", "--method", "lipschitz-hinf-thau")
+    assert (code, out) == (1, "")
+    assert "shrink the domain to x1 in" in err
+    assert "up to a Lipschitz constant" in err
+    code, out, _ = cli("design", "lipschitz_polynomial", "--method", "lipschitz-hinf-thau", "--json")
+    told = json.loads(out)
+    assert code == 1
+    assert told["explanation"]["stage"] == "whole"
+    assert told["explanation"]["tradeoff"]["solvable"] == pytest.approx(0.6343, rel=1e-3)
+    assert told["error"]["what"] == told["explanation"]["findings"][0]["what"]
+
+
+def test_check_says_which_methods_apply_and_what_to_type_next(cli):
+    code, out, _ = cli("check", "lipschitz_polynomial")
+    assert code == 0
+    assert "lipschitz-hinf  applies" in out
+    assert "open-loop       does not apply" in out
+    assert "--method lipschitz-hinf" in out
+    _, out, _ = cli("check", "lipschitz_polynomial", "--json")
+    assert json.loads(out)["recommendation"]["applicable"] == ["lipschitz-hinf"]
+
+
+def test_gains_that_could_not_be_proved_are_no_negative_answer():
+    error = fr.Inconclusive("no gains were found that could be proved", remedies=("ask for a larger level",))
+    found = why_failed(SPRING, "lipschitz-hinf", error)
+    assert (found.stage, found.exit_code) == ("proof", 3)
+    assert found.findings[0] is error.finding
+    assert "has a solution" in str(found)
+
+
+def test_check_ranks_sensors_and_tabulates_faults_when_asked(cli):
+    code, out, _ = cli("check", "airliner", "--sensors")
+    assert code == 0
+    assert "the best first" in out
+    assert "pitch_rate and roll_rate: reconstructible; isolable" in out
+    told = json.loads(cli("check", "airliner", "--sensors", "--json")[1])
+    assert {row["change"] for row in told["sensors"]} == {"add", "protect"}
+    assert "sensors" not in json.loads(cli("check", "airliner", "--json")[1])
