@@ -49,10 +49,11 @@ def _scaled(shape, by: float):
     st.lists(st.tuples(st.integers(0, 16), shapes), max_size=3),
     shapes,
     st.lists(st.floats(-1.0, 1.0), min_size=8, max_size=8),
+    st.booleans(),
     st.integers(0, 2**32),
 )
 @settings(max_examples=30, deadline=None)
-def test_a_linear_plant_never_exceeds_the_certified_level(disturbances, fault, error, seed):
+def test_a_linear_plant_never_exceeds_the_certified_level(disturbances, fault, error, noise, seed):
     plant = _airliner().plant
     acting = {plant.attenuated[k].name: _scaled(shape, plant.attenuated[k].size) for k, shape in disturbances}
     scenario = Scenario(
@@ -60,7 +61,7 @@ def test_a_linear_plant_never_exceeds_the_certified_level(disturbances, fault, e
         faults={"pitch_rate": _scaled(fault, 0.04)},
         disturbances=acting,
         initial_error=np.array(error) * np.array(plant.signals.x.ranges),
-        noise=False,
+        noise=noise,  # every sensor's is declared as a disturbance, so it is counted
         seed=seed,
     )
     score = simulate(_airliner(), scenario).score()

@@ -72,7 +72,7 @@ def test_the_gallery_has_a_row_per_shape():
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("pitch_rate:stp:size=1", "did you mean 'step'"),
+        ("pitch_rate:stp:size=1", "there is no shape stp; did you mean 'step'"),
         ("pitch_rate", "write NAME:SHAPE"),
         ("pitch_rate:step:size=x", "no key=number"),
         ("pitch_rate:step:siz=1", "did you mean 'size'"),
@@ -90,6 +90,19 @@ def test_signals_are_written_as_name_shape_and_numbers():
     assert shape([4.0, 10.0, 15.0, 30.0]).tolist() == [0.0, 0.2, 0.4, 0.0]
     scenario = scenario_from(["a:stuck"], ["b:doublet:size=1,width=2"], ["c:noise:sd=1,hold=0.1,seed=3"], duration=5.0)
     assert (list(scenario.faults), list(scenario.inputs), list(scenario.disturbances)) == (["a"], ["b"], ["c"])
+
+
+def test_the_name_of_a_signal_is_checked_before_its_numbers():
+    with pytest.raises(InputError, match="no fault 'pitch_rat': did you mean 'pitch_rate'"):
+        scenario_from(["pitch_rat:ramp:size=1"], [], [], read_library("airliner"))
+
+
+def test_noise_that_is_not_declared_is_a_footnote_of_the_comparison():
+    plant = read_library("airliner")
+    bare = replace(plant, disturbances=tuple(d for d in plant.disturbances if d.name != "noise_pitch_rate"))
+    found = compare(bare, PAIR[:1], Scenario.healthy(duration=1.0))
+    assert found[PAIR[0]].achieved is None
+    assert "no gain achieved is shown: noise of pitch_rate acts" in str(found)
 
 
 def test_the_verbs_answer_in_data_and_text(tmp_path):

@@ -111,13 +111,36 @@ def test_the_worst_sine_reaches_the_gain_of_the_closed_loop_and_stays_below_the_
 
 
 def test_what_the_certificate_does_not_cover_is_said(airliner, polynomial):
-    assert any("noise" in why for why in simulate(airliner, STEP).score().outside)
     slow = replace(airliner.plant, A=0.9 * airliner.plant.A)
     assert any("not the plant" in why for why in simulate(airliner, STEP.quiet(), plant=slow).score().outside)
     far = Scenario(duration=1.0, sample_time=0.01, x0=(0.3, 0.0))
     assert any("domain of x1" in why for why in simulate(polynomial, far).score().outside)
     baseline = design(read_library("lipschitz_aircraft"), "open-loop", certify=False)
     assert simulate(baseline, Scenario.healthy(duration=0.1)).score().outside == ("there is none",)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_noise_that_is_declared_is_counted_and_stays_below_the_level(airliner, seed):
+    gusty = replace(STEP, seed=seed, disturbances={"gust_w": HeldNoise(1.1, 0.5)})
+    for scenario in (replace(STEP, seed=seed), gusty):
+        score = simulate(airliner, scenario).score()
+        assert score.outside == () and score.undeclared == ()
+        assert 0 < score.achieved <= score.level  # by a factor of four: what sampling may add is far less
+
+
+def test_noise_that_is_not_declared_leaves_nothing_to_compare_and_its_sensors_are_named(airliner):
+    plant = airliner.plant
+    kept = tuple(d for d in plant.disturbances if d.name != "noise_pitch_rate")
+    some = design(replace(plant, disturbances=kept))
+    score = simulate(some, STEP).score()
+    assert score.achieved is None and score.undeclared == ("pitch_rate",)
+    why = "noise of pitch_rate acts and is not among the disturbances"
+    assert score.outside == (why,) and f"not comparable: {why}; --no-noise compares" in str(score)
+    assert "nothing disturbs: no gain to compare" in str(simulate(some, STEP.quiet()).score())
+
+
+def test_faults_that_never_act_have_a_dash_and_no_nan(airliner):
+    assert "nan" not in str(simulate(airliner, STEP).score())
 
 
 def test_a_design_for_some_faults_meets_a_plant_with_more(airliner):

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from faultrecon.finding import FaultreconError, Impossible, Inconclusive
@@ -13,7 +13,7 @@ from faultrecon.methods.registry import list_methods, method
 from faultrecon.plant.plant import Plant
 from faultrecon.simulation.chance import HeldNoise
 from faultrecon.simulation.metrics import FaultScore
-from faultrecon.simulation.run import watch
+from faultrecon.simulation.run import undeclared_noise, watch
 from faultrecon.simulation.scenario import Scenario, default_sample_time
 from faultrecon.simulation.shapes import Step
 from faultrecon.simulation.truth import true_run
@@ -31,6 +31,7 @@ class Entry:
 
     verdict: of the certificate, "none" for a baseline that runs without one, "impossible" or "inconclusive" when there
     are no gains.  noise_sd: standard deviation of each reconstructed fault under the declared sensor noise.
+    undeclared: sensors whose noise acts and is none of the disturbances, which leaves no achieved gain to compare.
     """
 
     method: str
@@ -44,11 +45,12 @@ class Entry:
     largest_step: float | None = None
     noise_sd: dict[str, float] | None = None
     scores: dict[str, FaultScore] | None = None
+    undeclared: tuple[str, ...] = ()
 
     def as_dict(self) -> dict[str, Any]:
         """Plain values for `--json`."""
         found = None if self.scores is None else {name: s.as_dict() for name, s in self.scores.items()}
-        return {**self.__dict__, "scores": found}
+        return {**self.__dict__, "scores": found, "undeclared": list(self.undeclared)}
 
 
 @dataclass(frozen=True)
@@ -90,6 +92,9 @@ class SideBySide:
                         f" {_number(noise):>10}"
                     )
         notes = [f"  {e.method}: {e.note}" for e in self.entries if e.note]
+        silent = list(dict.fromkeys(name for e in self.entries for name in e.undeclared))
+        if silent:
+            notes.append(f"  no gain achieved is shown: {undeclared_noise(silent)}")
         return "\n".join([*lines, "", *notes] if notes else lines)
 
 
@@ -116,7 +121,7 @@ def compare(
         if made is not None:
             try:
                 score = watch(made, truth).score()
-                entry = _entry(made, entry.note, score.achieved, dict(score))
+                entry = replace(_entry(made, entry.note, score.achieved, dict(score)), undeclared=score.undeclared)
             except FaultreconError as error:
                 entry = _entry(made, f"does not run: {error}", None, None)
         entries.append(entry)

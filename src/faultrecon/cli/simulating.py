@@ -40,12 +40,11 @@ def parsed_signal(text: str) -> tuple[str, Shape]:
     """The name and the shape of a signal as it is written on the command line.  Raises InputError."""
     name, _, rest = text.partition(":")
     word, _, options = rest.partition(":")
-    if not name or word not in SHAPES:
-        raise InputError(
-            f"'{text}' is no signal",
-            why=did_you_mean(word, SHAPES),
-            remedies=("write NAME:SHAPE:key=value,...", "for example pitch_rate:step:size=0.4,at=5"),
-        )
+    how = ("write NAME:SHAPE:key=value,...", "for example pitch_rate:step:size=0.4,at=5")
+    if not name or not word:
+        raise InputError(f"'{text}' is no signal", why=did_you_mean(word, SHAPES), remedies=how)
+    if word not in SHAPES:
+        raise InputError(f"{text}: there is no shape {word}", remedies=(did_you_mean(word, SHAPES), how[0]))
     kind = SHAPES[word]
     values = _numbers(text, options)
     at, until = values.pop("at", 0.0), values.pop("until", None)
@@ -76,11 +75,28 @@ def _numbers(text: str, options: str) -> dict[str, Any]:
 
 
 def scenario_from(
-    faults: Sequence[str], inputs: Sequence[str], disturbances: Sequence[str], **options: Any
+    faults: Sequence[str],
+    inputs: Sequence[str],
+    disturbances: Sequence[str],
+    plant: Plant | None = None,
+    **options: Any,
 ) -> Scenario:
-    """A scenario from signals as they are written on the command line; options are the other fields of `Scenario`."""
+    """A scenario from signals as they are written on the command line; options are the other fields of `Scenario`.
+
+    Names are checked against the plant, when it is given, before the shapes are read.  Raises InputError.
+    """
     groups = {"faults": faults, "inputs": inputs, "disturbances": disturbances}
+    if plant is not None:
+        _check_names("fault", faults, [f.name for f in plant.faults])
+        _check_names("input", inputs, plant.signals.u.names)
+        _check_names("disturbance", disturbances, [d.name for d in plant.disturbances])
     return Scenario(**{key: dict(parsed_signal(text) for text in texts) for key, texts in groups.items()}, **options)
+
+
+def _check_names(what: str, texts: Sequence[str], known: Sequence[str]) -> None:
+    for name in (text.partition(":")[0] for text in texts):
+        if name and name not in known:
+            raise InputError(f"there is no {what} '{name}'", why=did_you_mean(name, known))
 
 
 def run_simulation(

@@ -23,12 +23,13 @@ def _scenario(
     faults: list[str] | None,
     inputs: list[str] | None,
     disturbances: list[str] | None,
+    plant: Any,
     options: dict[str, Any],
 ) -> Any:
     from faultrecon.cli.simulating import scenario_from
 
     given = {key: value for key, value in options.items() if value is not None}
-    return scenario_from(faults or [], inputs or [], disturbances or [], **given)
+    return scenario_from(faults or [], inputs or [], disturbances or [], plant, **given)
 
 
 @app.command()
@@ -51,16 +52,18 @@ def simulate(
         from faultrecon.cli.simulating import run_simulation
 
         options = {"duration": duration, "sample_time": sample_time, "noise": noise, "seed": seed}
-        scenario = _scenario(faults, inputs, disturbances, options)
         if name.lower().endswith(".json"):
             from faultrecon.io.designfile import read_design
 
             design = read_design(name)
+            scenario = _scenario(faults, inputs, disturbances, design.plant, options)
         else:
             from faultrecon.synthesis.pipeline import design as make
 
+            plant = plant_named(name)
+            scenario = _scenario(faults, inputs, disturbances, plant, options)
             with stages("designing") as tell_stage:
-                design = make(plant_named(name), method, progress=tell_stage)
+                design = make(plant, method, progress=tell_stage)
         with bar("simulating") as tell:
             data, text = run_simulation(design, scenario, out=out, figure=figure, progress=tell)
         answer(as_json, data, text)
@@ -81,11 +84,11 @@ def compare(
     with guarded(as_json):
         from faultrecon.cli.simulating import run_comparison
 
-        chosen = None
+        described, chosen = plant_named(plant), None
         if faults or inputs or disturbances:
-            chosen = _scenario(faults, inputs, disturbances, {"duration": duration, "seed": seed})
+            chosen = _scenario(faults, inputs, disturbances, described, {"duration": duration, "seed": seed})
         with bar("comparing") as tell:
-            data, text = run_comparison(plant_named(plant), methods or None, chosen, tell)
+            data, text = run_comparison(described, methods or None, chosen, tell)
         answer(as_json, data, text)
 
 

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from faultrecon.finding import InputError, did_you_mean
+from faultrecon.plant.fault import Disturbance
 from faultrecon.plant.plant import Plant
 from faultrecon.runtime.samples import Trace
 from faultrecon.runtime.stepping import Hold, Scheme
@@ -33,15 +34,17 @@ Array = NDArray[Any]
 class Score(Mapping[str, FaultScore]):
     """The four numbers per fault, by name, and the gain reached beside the level that is certified.
 
-    achieved: sqrt(∫|f - f̂|² / (∫|w|² + V(e(0))/γ²)) over the run, in declared sizes; None when nothing disturbs.
-    level: the certified γ, or None.  outside: why the certificate does not cover this run, empty when it does (up to
-    sampling, which no certificate covers).
+    achieved: sqrt(∫|f - f̂|² / (∫|w|² + V(e(0))/γ²)) over the run, in declared sizes, sensor noise counted in w; None
+    when nothing disturbs, or when noise acts that is no declared disturbance.  level: the certified γ, or None.
+    outside: why the certificate does not cover this run, empty when it does (up to sampling, which no certificate
+    covers).  undeclared: the sensors whose noise acts and is none of the disturbances.
     """
 
     faults: Mapping[str, FaultScore]
     achieved: float | None
     level: float | None
     outside: tuple[str, ...] = ()
+    undeclared: tuple[str, ...] = ()
 
     def __getitem__(self, name: str) -> FaultScore:
         if name not in self.faults:
@@ -61,18 +64,26 @@ class Score(Mapping[str, FaultScore]):
             "achieved": self.achieved,
             "level": self.level,
             "outside": list(self.outside),
+            "noise_not_declared": list(self.undeclared),
         }
 
     def __str__(self) -> str:
         width = max([5, *(len(name) for name in self.faults)])
         lines = [f"{'fault':{width}} {'nrmse':>9} {'peak':>10} {'delay [s]':>10} {'leak':>10}"]
         for name, s in self.faults.items():
-            lines.append(f"{name:{width}} {s.nrmse:9.4f} {s.peak:10.4g} {s.delay:10.4g} {s.leak:10.4g}")
-        gain = "nothing disturbs" if self.achieved is None else f"{self.achieved:.4g}"
+            rest = " ".join(f"{_number(v, '.4g'):>10}" for v in (s.peak, s.delay, s.leak))
+            lines.append(f"{name:{width}} {_number(s.nrmse, '.4f'):>9} {rest}")
         level = "none" if self.level is None else f"{self.level:.6g}"
-        lines.append(f"gain from disturbances to error: achieved {gain}, certified {level}")
+        lines.append(f"gain from disturbances to error: {self._gain()}; certified {level}")
         lines += [f"  not covered by the certificate: {reason}" for reason in self.outside]
         return "\n".join(lines)
+
+    def _gain(self) -> str:
+        if self.achieved is not None:
+            return f"achieved {self.achieved:.4g}"
+        if self.undeclared:
+            return f"not comparable: {undeclared_noise(self.undeclared)}; --no-noise compares"
+        return "nothing disturbs: no gain to compare"
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -137,18 +148,42 @@ class Run:
     def score(self) -> Score:
         """nrmse, peak, delay and leak per fault, and the gain reached against the certified level."""
         names = tuple(f.name for f in self.design.plant.faults)
-        return Score(scores(self.t, self.f, self.f_hat, names), self._achieved, self.design.level, self._outside)
+        found = scores(self.t, self.f, self.f_hat, names)
+        return Score(found, self._achieved, self.design.level, self._outside, self._counted_noise[1])
+
+    @cached_property
+    def _counted_noise(self) -> tuple[Array, tuple[str, ...]]:
+        """Sensor noise as counted disturbances (N, l), and the sensors whose noise is none of them.
+
+        Noise is counted where a disturbance enters its sensor and nothing else; of several the one that costs least,
+        since the level holds for every way to explain what the sensor showed.
+        """
+        counted = self.design.plant.attenuated
+        out, undeclared = np.zeros((len(self.t), len(counted))), []
+        for j, sensor in enumerate(self.design.plant.signals.y):
+            if not self.truth.noise[:, j].any():
+                continue
+            reach = {k: abs(d.on[sensor]) * d.size for k, d in enumerate(counted) if _enters_only(d, sensor)}
+            if reach:
+                k = max(reach, key=reach.__getitem__)
+                out[:, k] += self.truth.noise[:, j] / counted[k].on[sensor]
+            else:
+                undeclared.append(sensor)
+        return out, tuple(undeclared)
 
     @cached_property
     def _achieved(self) -> float | None:
         plant = self.design.plant
+        noise, undeclared = self._counted_noise
+        if undeclared:
+            return None
         names = [d.name for d in self.truth.plant.disturbances]
         w = (
             self.truth.w[:, [names.index(d.name) for d in plant.attenuated]]
             if plant.attenuated
             else self.truth.w[:, :0]
         )
-        effort = _energy(self.t, w / np.array([d.size for d in plant.attenuated]))
+        effort = _energy(self.t, (w + noise) / np.array([d.size for d in plant.attenuated]))
         error = _energy(self.t, (self.f - self.f_hat) / np.array([f.size for f in plant.faults]))
         start = initial_cost(self.design, self.x[0] - self.truth.x_hat0)
         if start and self.design.level is not None:
@@ -161,8 +196,8 @@ class Run:
         if design.certificate is None:
             return ("there is none",)
         found = []
-        if truth.noisy:
-            found.append("sensor noise acts, which is no disturbance that the level counts")
+        if self._counted_noise[1]:
+            found.append(undeclared_noise(self._counted_noise[1]))
         if truth.plant.with_faults([f.name for f in design.plant.faults]).digest() != design.plant.digest():
             found.append("the plant that was simulated is not the plant of the design")
         names = {f.name for f in design.plant.faults}
@@ -251,6 +286,19 @@ def initial_cost(design: Design, error: Array) -> float | None:
     found = gains_from({name: design.certificate.data[name] for name in ("P", "T⁻¹", "U")})
     scaled = found["T⁻¹"] @ error
     return float(scaled @ found["P"] @ scaled) / float(found["U"].item()) ** 2
+
+
+def undeclared_noise(sensors: Sequence[str]) -> str:
+    """Why the gain that was reached cannot be held against the level."""
+    return f"noise of {', '.join(sensors)} acts and is not among the disturbances"
+
+
+def _enters_only(d: Disturbance, sensor: str) -> bool:
+    return not any(d.into.values()) and [name for name, c in d.on.items() if c] == [sensor]
+
+
+def _number(value: float, form: str) -> str:
+    return "-" if math.isnan(value) else f"{value:{form}}"
 
 
 def _energy(t: Array, values: Array) -> float:

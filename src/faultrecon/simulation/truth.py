@@ -41,7 +41,7 @@ class Truth:
     """N samples of what happened: t (N,), u (N, m), w (N, l) every disturbance, f (N, q) every fault of the plant,
     x (N, n), healthy (N, p) what sensors would show without faults and noise, y (N, p) what they showed.
 
-    x_hat0 (n,): what the estimator believes at the start.  noisy: whether sensor noise acted.
+    x_hat0 (n,): what the estimator believes at the start.  noise (N, p): what sensor noise added, part of y.
     """
 
     plant: Plant
@@ -54,7 +54,7 @@ class Truth:
     healthy: Array
     y: Array
     x_hat0: Array
-    noisy: bool
+    noise: Array
 
     def left_domain(self) -> tuple[str, ...]:
         """The states that left the domain on which the bound of φ is claimed."""
@@ -79,9 +79,9 @@ def true_run(plant: Plant, scenario: Scenario, *, inside: bool = False) -> Truth
     u, w = _inputs(s, s.t), _values(s.disturbances, s.t)
     healthy = _healthy(plant, x, u, w)
     f = _faults(s, s.t, healthy, u)
-    gain = _noise_gain(s, s.t)
-    y = healthy + _fault_effect(plant, f, healthy) + gain * s.noise
-    return Truth(plant, scenario, s.t, u, w, f, x, healthy, y, s.x_hat0, bool(s.noise_seeds))
+    noise = _noise_gain(s, s.t) * s.noise
+    y = healthy + _fault_effect(plant, f, healthy) + noise
+    return Truth(plant, scenario, s.t, u, w, f, x, healthy, y, s.x_hat0, noise)
 
 
 # ---------------------------------------------------------------- signals
