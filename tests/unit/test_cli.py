@@ -163,6 +163,45 @@ def test_a_fault_that_never_acts_is_said_to_be_so(cli, made, tmp_path):
     assert "it never acts; leak" in text and "nan" not in text
 
 
+def changed_log(path, change):
+    """A log of 100 rows: change(k, t, a, b) gives time and the two positions of row k as text."""
+    rows = (",".join(("0", *map(str, change(k, k * 0.01, 0.0, 0.001)))) for k in range(100))
+    path.write_text("force,t,position_a,position_b\n" + "\n".join(rows) + "\n")
+    return path
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (
+            lambda k, t, a, b: (1000 * t, a, b),
+            "note: the log has a sample every 10 s, the plant's noise is held 0.01 s",
+        ),
+        (lambda k, t, a, b: (t, a, 0.2), "note: position_b_drift is found to reach 20 times its declared size of 0.01"),
+        (lambda k, t, a, b: (t + (k > 50), a, b), "longest interval 1.01 s = 101 samples at t = 0.5"),
+        (lambda k, t, a, b: (t, a, ""), "position_b_drift: position_b was never measured, its fault cannot be read"),
+    ],
+)
+def test_a_log_that_looks_wrong_is_run_and_told(cli, made, tmp_path, change, words):
+    code, text, _ = cli("run", made / "design.json", changed_log(tmp_path / "log.csv", change))
+    assert code == 0 and words in text and "nan" not in text
+
+
+def test_a_signal_far_beyond_its_declared_range_is_doubted(cli, tmp_path):
+    plant, design = tmp_path / "p.toml", tmp_path / "d.json"
+    plant.write_text(TEMPLATE.replace("velocity = 0.3 }", "velocity = 0.3, position_a = 0.1 }"), encoding="utf-8")
+    assert cli("design", plant, "--out", design)[0] == 0
+    log = changed_log(tmp_path / "log.csv", lambda k, t, a, b: (t, 5.0, b))
+    found = json.loads(cli("run", design, log, "--json")[1])
+    assert found["notes"][0].startswith("position_a goes to 50 times its declared range of 0.1 m")
+    assert found["longest_interval"] is None
+
+
+def test_a_good_log_has_no_notes(cli, made):
+    found = json.loads(cli("run", made / "design.json", made / "log.csv", "--json")[1])
+    assert found["notes"] == [] and found["longest_interval"] is None
+
+
 def test_run_says_when_nothing_is_claimed(cli, made, tmp_path):
     bare = tmp_path / "bare.json"
     bare.write_text(json.dumps(json.loads((made / "design.json").read_text()) | {"certificate": None}))

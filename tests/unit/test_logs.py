@@ -159,7 +159,44 @@ def test_a_log_without_time_is_refused(refused):
 
 
 def test_semicolons_are_recognised(refused):
-    assert "separated by semicolons; separate it by commas" in refused(GOOD.replace(",", ";"))
+    assert "separated by semicolons; save it as comma-delimited" in refused(GOOD.replace(",", ";"))
+
+
+def test_a_table_from_a_german_spreadsheet_is_recognised_by_its_header(refused):
+    message = refused(GOOD.replace(",", ";").replace(".", ","))
+    assert message.startswith(": is separated by semicolons with decimal commas: as spreadsheets write it")
+    assert message.endswith("save it as comma-delimited CSV with decimal points")
+    assert "separated by tabs;" in refused(GOOD.replace(",", "\t"))
+
+
+def test_semicolons_within_quoted_names_are_no_separators(log):
+    assert len(log(GOOD.replace("tacho\n", 'tacho,"a;b;c;d;e;f"\n', 1).replace("2\n", "2,0\n").replace("3\n", "3,0\n")
+                   .replace("4\n", "4,0\n"))) == 3  # fmt: skip
+
+
+def test_a_missing_column_is_answered_with_the_option_that_maps_it(refused):
+    message = refused(GOOD.replace("tacho", "Tacho speed"))
+    assert """on the command line --column tacho="Tacho speed\"""" in message
+    message = refused(GOOD.replace("t,vol", "Time (s),vol"))
+    assert """on the command line --column t="Time (s)\"""" in message
+    message = refused(GOOD.replace("t,vol", "motor,vol"))
+    assert "did you mean" not in message and """--column t="COLUMN\"""" in message
+
+
+def test_what_a_run_wrote_is_not_called_ignored(log):
+    head = "t,voltage,encoder,tacho,tacho_ok,tacho_corrected,f_drift,note\n"
+    assert log(head + "0,1,2,3,true,,,calm\n1,1,2,3,false,x,x,calm\n").ignored == ("note",)
+
+
+def test_the_line_of_a_bad_cell_counts_blank_lines_and_lines_within_quotes(refused):
+    assert ":6  column tacho is 'bad'" in refused('t,voltage,encoder,tacho,note\n\n0,1,2,3,"a\nb"\n\n1,1,2,bad,c\n')
+
+
+def test_a_parquet_file_has_rows(tmp_path):
+    columns = {"t": [0.0, 1.0], "voltage": [1.0, 1.0], "encoder": [1.0, 1.0], "tacho": ["1", "bad"]}
+    pq.write_table(pa.table(columns), tmp_path / "log.parquet")
+    with pytest.raises(InputError, match=r"log\.parquet: column tacho, row 2 is 'bad'"):
+        read_log(tmp_path / "log.parquet", SIGNALS)
 
 
 def test_a_mapping_of_something_unknown_is_refused(refused):
@@ -179,18 +216,18 @@ def test_two_columns_of_one_name_are_refused_only_where_it_matters(refused, log)
 def test_text_in_a_numeric_column_is_refused_with_row_column_and_cell(refused):
     message = refused(GOOD.replace("0.25", "0,25".replace(",", ";")))
     assert message == (
-        ": column encoder, row 2 is '0;25', not a number; correct the cell, or leave it empty where there is no value"
+        ":3  column encoder is '0;25', not a number; correct the cell, or leave it empty where there is no value"
     )
 
 
 def test_the_bad_cell_is_found_far_into_a_long_log(refused):
     rows = [f"{k},1,2,3" for k in range(100_000)]
     rows[87_654] = "87654,1,2,error"
-    assert ": column tacho, row 87655 is 'error'" in refused("t,voltage,encoder,tacho\n" + "\n".join(rows) + "\n")
+    assert ":87656  column tacho is 'error'" in refused("t,voltage,encoder,tacho\n" + "\n".join(rows) + "\n")
 
 
 def test_an_infinite_measurement_is_refused(refused):
-    assert ": column encoder, row 2 is inf; leave the cell empty" in refused(GOOD.replace("0.25", "inf"))
+    assert ":3  column encoder is inf; leave the cell empty" in refused(GOOD.replace("0.25", "inf"))
 
 
 def test_a_column_of_dates_is_no_measurement(tmp_path):
@@ -208,32 +245,30 @@ def test_a_column_of_dates_is_no_measurement(tmp_path):
 
 def test_rows_out_of_order_are_refused_with_row_and_values(refused):
     message = refused(GOOD.replace("0.2,", "0.05,"))
-    assert message.startswith(
-        ": column t, row 3 has 0.05 after 0.1: times must increase from row to row; sort the rows"
-    )
+    assert message.startswith(":4  column t has 0.05 after 0.1: times must increase from row to row; sort the rows")
 
 
 def test_a_repeated_time_is_refused_with_row_and_value(refused):
-    assert ": column t, row 3 repeats 0.1: times must increase" in refused(GOOD.replace("0.2,", "0.1,"))
+    assert ":4  column t repeats 0.1: times must increase" in refused(GOOD.replace("0.2,", "0.1,"))
     twice = "t,voltage,encoder,tacho\n2026-03-01T12:00:00Z,1,2,3\n2026-03-01T12:00:00Z,1,2,3\n"
-    assert ": column t, row 2 repeats 2026-03-01T12:00:00Z" in refused(twice)
+    assert ":3  column t repeats 2026-03-01T12:00:00Z" in refused(twice)
 
 
 @pytest.mark.parametrize("cell", ["", "nan", "inf"])
 def test_a_row_without_a_time_is_refused(refused, cell):
     message = refused(GOOD.replace("0.2,", f"{cell},"))
-    assert message.startswith(": column t, row 3 has the time") and message.endswith("give every row a finite time")
+    assert message.startswith(":4  column t has the time") and message.endswith("give every row a finite time")
 
 
 def test_a_date_that_is_missing_among_dates_is_refused(refused):
     text = "t,voltage,encoder,tacho\n2026-03-01T12:00:00Z,1,2,3\n,1,2,3\n"
-    assert ": column t, row 2 has no time; give every row a time" in refused(text)
+    assert ":3  column t has no time; give every row a time" in refused(text)
 
 
 def test_a_time_that_is_neither_number_nor_date_is_refused(refused):
     message = refused(GOOD.replace("0.1,", "noon,"))
-    assert message.startswith(": column t, row 2 is 'noon', not a time like those above; give seconds, or ISO 8601")
-    assert ": column t, row 1 is 'dawn', not a time; give" in refused(GOOD.replace("0.0,", "dawn,"))
+    assert message.startswith(":3  column t is 'noon', not a time like those above; give seconds, or ISO 8601")
+    assert ":2  column t is 'dawn', not a time; give" in refused(GOOD.replace("0.0,", "dawn,"))
 
 
 # ---------------------------------------------------------------- files that are no recordings

@@ -13,6 +13,7 @@ import numpy as np
 from faultrecon.finding import InputError
 from faultrecon.io.designfile import read_design
 from faultrecon.io.logs import write_log
+from faultrecon.io.plausibility import doubts, longest_gap
 from faultrecon.io.playback import Replay, replay
 from faultrecon.io.tables import name_extension
 from faultrecon.plant.plant import Plant
@@ -59,7 +60,7 @@ def _check_targets(log: str, out: Path | None, figure: Path | None) -> None:
 
 
 def _data(done: Replay, out: Path | None, figure: Path | None) -> dict[str, Any]:
-    scores, verified = done.scores(), done.design.verification
+    scores, verified, gap = done.scores(), done.design.verification, longest_gap(done)
     faults = {}
     for j, f in enumerate(done.design.plant.faults):
         values = done.trace.fault[:, j]
@@ -69,6 +70,8 @@ def _data(done: Replay, out: Path | None, figure: Path | None) -> dict[str, Any]
     return {
         "samples": len(done.log),
         "seconds": float(done.log.t[-1] - done.log.t[0]),
+        "longest_interval": None if gap is None else gap.as_dict(),
+        "notes": list(doubts(done)),
         "missing": dict(done.log.missing),
         "ignored_columns": list(done.log.ignored),
         "flagged_samples": int(np.sum(~done.trace.ok.all(axis=1))),
@@ -101,6 +104,8 @@ def _score(s: Mapping[str, float], unit: str) -> str:
 def _text(done: Replay, out: Path | None, figure: Path | None) -> str:
     data = _data(done, out, figure)
     lines = [f"{done.log.source}: {data['samples']} samples over {data['seconds']:g} s"]
+    if (gap := longest_gap(done)) is not None:
+        lines.append(f"  {gap}")
     if data["missing"]:
         lines.append("  missing values: " + ", ".join(f"{k} {v}" for k, v in data["missing"].items()))
     if data["ignored_columns"]:
@@ -108,11 +113,16 @@ def _text(done: Replay, out: Path | None, figure: Path | None) -> str:
     lines.append(f"  samples with a flagged channel: {data['flagged_samples']}")
     units = dict(zip(done.design.plant.signals.y.names, done.design.plant.signals.y.units, strict=True))
     for f in done.design.plant.faults:
+        never = [name for name in f.on if data["missing"].get(name) == data["samples"]]
+        if never and np.isnan(data["faults"][f.name]["rms"]):
+            lines.append(f"  {f.name}: {' and '.join(never)} was never measured, its fault cannot be read")
+            continue
         unit, found = units.get(next(iter(f.on)), ""), data["faults"][f.name]
         lines.append(f"  {f.name}: RMS {found['rms']:.4g} {unit}, largest {found['largest']:.4g} {unit}")
         if "score" in found:
             lines.append(f"    against the recorded truth: {_score(found['score'], unit)}")
     if data["verdict"] is None:
         lines.append("  this design carries no certificate; nothing is claimed")
+    lines += [f"  note: {note}" for note in data["notes"]]
     lines += [f"  wrote {path}" for path in (out, figure) if path is not None]
     return "\n".join(lines)

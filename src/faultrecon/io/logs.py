@@ -7,6 +7,7 @@ Tables stay columnar from the file to the arrays; nothing here loops over rows.
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import datetime
@@ -17,7 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from faultrecon.finding import InputError, did_you_mean
-from faultrecon.io.tables import name_extension, numbers, read_table, seconds, shown
+from faultrecon.io.tables import name_extension, numbers, place, read_table, seconds, shown
 from faultrecon.plant.signals import Signals
 from faultrecon.storage.atomic import replacing
 
@@ -26,6 +27,7 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 TIMES = ("t", "time")
+TIME_LIKE = re.compile(r"(t|tim|time|times|timestamp|zeit|date|datetime|sec|secs|seconds)([^a-z].*)?", re.IGNORECASE)
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,6 +85,8 @@ def read_log(path: str | os.PathLike[str], signals: Signals, *, mapping: Mapping
     values = {name: _signal(source, table, columns.by_signal[name]) for name in dict.fromkeys(wanted)}
     used = {columns.time, *columns.by_signal.values()}
     extra, ignored = _others(table, [name for name in table.column_names if name not in used])
+    ours = {f"{name}_{end}" for name in signals.y.names for end in ("ok", "corrected")}  # written by a run before
+    ignored = tuple(name for name in ignored if name not in ours and not name.startswith(("f_", "true_f_")))
     missing = {name: int(np.isnan(v).sum()) for name, v in values.items()}
     return Log(
         t,
@@ -165,12 +169,14 @@ def _matched(source: str, present: Sequence[str], wanted: Sequence[str], mapping
     lost = [column for column in dict.fromkeys(by_signal.values()) if column not in present]
     if lost:
         spare = [name for name in present if name not in by_signal.values() and name != time]
+        guesses = {name: _likely(name, spare) for name in lost}
+        options = (f'--column {s}="{guesses[c] or "COLUMN"}"' for s, c in by_signal.items() if c in guesses)
         raise InputError(
             f"{source}: there is no column for {', '.join(lost)}",
-            why=f"the columns are: {', '.join(present)}{_hint(present)}",
+            why=f"the columns are: {', '.join(present)}",
             remedies=(
-                *(f"for {name}: {hint}" for name in lost if (hint := did_you_mean(name, spare)).startswith("did")),
-                "map signals to columns with a mapping {signal: column}",
+                *(f"for {name}: did you mean '{guess}'?" for name, guess in guesses.items() if guess),
+                f"map signals to columns with a mapping {{signal: column}}, on the command line {' '.join(options)}",
             ),
         )
     for column in (time, *by_signal.values()):
@@ -186,21 +192,25 @@ def _time_column(source: str, present: Sequence[str], mapping: Mapping[str, str]
             f"{source}: both {' and '.join(named)} could be the time", remedies=("map 't' to one of them",)
         )
     if not named or named[0] not in present:
-        hint = did_you_mean(named[0] if named else "time", present)
+        guess = _likely(named[0], present) if named else next(filter(TIME_LIKE.fullmatch, present), "")
         raise InputError(
             f"{source}: there is no time column{f' {named[0]!r}' if named else ''}",
-            why=f"the columns are: {', '.join(present)}{_hint(present)}",
-            remedies=tuple(h for h in (hint, "call it t or time, or map 't' to it") if not h.startswith("known")),
+            why=f"the columns are: {', '.join(present)}",
+            remedies=(
+                *((f"did you mean '{guess}'?",) if guess else ()),
+                f"call it t or time, or map 't' to it, on the command line --column t=\"{guess or 'COLUMN'}\"",
+            ),
         )
     return named[0]
 
 
-def _hint(present: Sequence[str]) -> str:
-    """What a header of one long column usually means."""
-    for mark, name in ((";", "semicolons"), ("\t", "tabs")):
-        if len(present) == 1 and mark in present[0]:
-            return f" (the file is separated by {name}; separate it by commas)"
-    return ""
+def _likely(name: str, present: Sequence[str]) -> str:
+    """The column that probably holds a signal: spelt much like it, or with its name in it; '' when there is none."""
+    plain = {re.sub(r"[^a-z0-9]", "", column.lower()): column for column in present}
+    word = re.sub(r"[^a-z0-9]", "", name.lower())
+    hint = did_you_mean(word, plain)
+    close = next((c for p, c in plain.items() if hint == f"did you mean '{p}'?"), "")
+    return close or next((c for p, c in plain.items() if len(word) > 2 and word in p), "")
 
 
 def _signal(source: str, table: pa.Table, column: str) -> Array:
@@ -209,7 +219,7 @@ def _signal(source: str, table: pa.Table, column: str) -> Array:
     if infinite.any():
         row = int(np.argmax(infinite))
         raise InputError(
-            f"{source}: column {column}, row {row + 1} is {values[row]}",
+            f"{place(source, column, row)} is {values[row]}",
             remedies=("leave the cell empty where there is no measurement",),
         )
     return values
@@ -232,8 +242,8 @@ def _others(table: pa.Table, names: Sequence[str]) -> tuple[dict[str, Array], tu
 def _stacked(values: Mapping[str, Array], names: Sequence[str], rows: int) -> Array:
     """The columns side by side, (rows, k), each in one piece in memory, as it was read and as it will be written."""
     stacked = np.empty((len(names), rows))
-    for place, name in zip(stacked, names, strict=True):
-        place[:] = values[name]
+    for into, name in zip(stacked, names, strict=True):
+        into[:] = values[name]
     return stacked.T
 
 
@@ -244,7 +254,7 @@ def _times(source: str, table: pa.Table, column: str) -> tuple[Array, datetime |
     if absent.any():
         row = int(np.argmax(absent))
         raise InputError(
-            f"{source}: column {column}, row {row + 1} has the time {shown(table, column, row)}",
+            f"{place(source, column, row)} has the time {shown(table, column, row)}",
             remedies=("give every row a finite time",),
         )
     step = np.diff(t)
@@ -253,7 +263,7 @@ def _times(source: str, table: pa.Table, column: str) -> tuple[Array, datetime |
         before, here = (shown(table, column, i) for i in (row - 1, row))
         fact = f"repeats {before}" if step[row - 1] == 0 else f"has {here} after {before}"
         raise InputError(
-            f"{source}: column {column}, row {row + 1} {fact}",
+            f"{place(source, column, row)} {fact}",
             why="times must increase from row to row",
             evidence={"rows": int((step <= 0).sum())},
             remedies=("sort the rows by time and keep one row per time",),

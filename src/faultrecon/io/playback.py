@@ -24,11 +24,12 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class Replay:
-    """A log and what a design made of it."""
+    """A log and what a design made of it.  sample_time: s, that of the estimator."""
 
     design: Design
     log: Log
     trace: Trace
+    sample_time: float | None = None
 
     def columns(self) -> dict[str, np.ndarray]:
         """Time, inputs, measurements, f_<fault>, <sensor>_corrected for every sensor a fault reaches, <sensor>_ok."""
@@ -104,7 +105,7 @@ def replay(
             raise InputError(f"{log.source}: one sample tells no sample time", remedies=("pass sample_time=...",))
         sample_time = float(np.median(np.diff(log.t))) if len(log) > 1 else None
     estimator = design.estimator(sample_time, hold=hold, scheme=scheme)
-    return Replay(design, log, estimator.replay(log.t, log.u, log.y, progress=progress))
+    return Replay(design, log, estimator.replay(log.t, log.u, log.y, progress=progress), sample_time)
 
 
 def reconstruct(design: Design, log: Log | str | os.PathLike[str], **options: Any) -> pd.DataFrame:

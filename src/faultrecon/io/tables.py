@@ -5,8 +5,10 @@ from __future__ import annotations
 
 import csv as plain_csv
 import os
+import re
 from contextlib import suppress
 from datetime import UTC, datetime, timedelta
+from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -20,6 +22,8 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 EXTENSIONS = (".csv", ".parquet")
+QUOTED = re.compile(r'"[^"]*"')
+DECIMAL_COMMA = re.compile(r"[-+]?\d+,\d+")
 # Words that recorders and spreadsheets write for a value that is not there.
 ABSENT = ["", "nan", "NaN", "NAN", "-nan", "NA", "N/A", "#N/A", "null", "NULL", "None", "none"]
 
@@ -85,6 +89,7 @@ def _csv(source: str, start: bytes) -> pa.Table:
     from pyarrow import csv
 
     names, first = _head(source, start)
+    _refuse_other_separators(source)
     # Columns that begin with a number are read as numbers at once.  Where a later cell is none, all is read again as
     # text, slower, so that `numbers` can say which cell it is.
     cells = dict(zip(names, first, strict=True))
@@ -125,6 +130,35 @@ def _head(source: str, start: bytes) -> tuple[list[str], list[str]]:
         raise (_bad_byte(source) or _unreadable_csv(source, error)) from error
     except (StopIteration, plain_csv.Error, OSError) as error:
         raise InputError(f"{source}:1  has no header", remedies=("begin with a line of column names",)) from error
+
+
+def _refuse_other_separators(source: str) -> None:
+    """Raises InputError where the header has more cells by semicolons or tabs than by commas."""
+    with open(source, encoding="utf-8-sig", errors="replace") as opened:
+        lines = [line.rstrip("\r\n") for line in islice(filter(str.strip, opened), 2)]
+    head = QUOTED.sub("", lines[0]) if lines else ""
+    for mark, name in ((";", "semicolons"), ("\t", "tabs")):
+        if head.count(mark) > head.count(","):
+            decimal = any(DECIMAL_COMMA.fullmatch(cell.strip(' "')) for line in lines[1:] for cell in line.split(mark))
+            raise InputError(
+                f"{source}: is separated by {name}{' with decimal commas' if decimal else ''}",
+                why="as spreadsheets write it where a comma is the decimal point" if decimal else "",
+                remedies=("save it as comma-delimited CSV with decimal points",),
+            )
+
+
+def place(source: str, column: str, row: int) -> str:
+    """Where a cell is, for messages: the line of a CSV file, the row of any other; rows count from 0."""
+    if source.lower().endswith(".csv"):
+        with suppress(OSError, ValueError, plain_csv.Error), open(source, encoding="utf-8-sig", newline="") as opened:
+            reader = plain_csv.reader(opened)
+            line, at = 1, -2
+            for cells in reader:
+                at += bool(cells)
+                if at == row:
+                    return f"{source}:{line}  column {column}"
+                line = reader.line_num + 1  # a quoted cell may span lines: the record begins here
+    return f"{source}: column {column}, row {row + 1}"
 
 
 def _bad_byte(source: str) -> InputError | None:
@@ -222,7 +256,7 @@ def _spelled(source: str, column: str, values: Any) -> Any:
     except pa.ArrowInvalid as error:
         row = _first_unlike(text, pa.float64())
         raise InputError(
-            f"{source}: column {column}, row {row + 1} is {text[row].as_py()!r:.60}, not a number",
+            f"{place(source, column, row)} is {text[row].as_py()!r:.60}, not a number",
             remedies=("correct the cell, or leave it empty where there is no value",),
         ) from error
 
@@ -261,7 +295,7 @@ def seconds(source: str, table: pa.Table, column: str) -> tuple[Array, datetime 
     absent = values.is_null().to_numpy()
     if absent.any():
         row = int(np.argmax(absent))
-        raise InputError(f"{source}: column {column}, row {row + 1} has no time", remedies=("give every row a time",))
+        raise InputError(f"{place(source, column, row)} has no time", remedies=("give every row a time",))
     per_second = {"s": 1, "ms": 10**3, "us": 10**6, "ns": 10**9}[values.type.unit]
     ticks = pc.cast(values, pa.int64()).to_numpy()
     since = int(ticks[0])
@@ -269,7 +303,7 @@ def seconds(source: str, table: pa.Table, column: str) -> tuple[Array, datetime 
         start = datetime.fromtimestamp(0, UTC) + timedelta(microseconds=since * 10**6 // per_second)
     except OverflowError as error:
         raise InputError(
-            f"{source}: column {column}, row 1 is {since} {values.type.unit} after 1970",
+            f"{place(source, column, 0)} is {since} {values.type.unit} after 1970",
             why="that is no date",
             remedies=("give seconds or dates",),
         ) from error
@@ -291,7 +325,7 @@ def _instants(source: str, column: str, values: Any) -> Any:
     row = max(_first_unlike(text, kind) for kind in kinds)
     kind_of_time = "a time like those above" if row else "a time"
     raise InputError(
-        f"{source}: column {column}, row {row + 1} is {text[row].as_py()!r:.60}, not {kind_of_time}",
+        f"{place(source, column, row)} is {text[row].as_py()!r:.60}, not {kind_of_time}",
         remedies=("give seconds, or ISO 8601 times such as 2026-03-01T12:00:00.020Z, in every row",),
     )
 
