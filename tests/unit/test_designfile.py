@@ -228,7 +228,7 @@ def claim_more(document):
 
 @pytest.mark.parametrize(
     ("change", "message"),
-    [(turn_around, "gains changed"), (ask_for_less, "gains changed"), (leave_out, "statement changed")],
+    [(turn_around, "gains or γ changed"), (ask_for_less, "gains or γ changed"), (leave_out, "statement changed")],
 )
 def test_a_change_after_the_proof_is_noticed(stored, change, message):
     path = stored(change)

@@ -17,8 +17,6 @@ import numpy as np
 
 from faultrecon.lmi.problem import Form, Problem, freedom
 
-MODERATE = 10
-"""Powers of two: unknowns between a thousandth and a thousand lose no digit that the tolerance would show."""
 ROOT2 = np.sqrt(2.0)
 
 
@@ -129,18 +127,14 @@ def solve(
 
     margin: how far inside each (scaled) inequality the point has to lie.  near: unknowns of about the size of the
     answer, in whose units it is computed.  tolerance: relative gap and feasibility.
-    An optimum whose unknowns are far from size one is computed twice, the second time in units in which the first
-    answer has size one: an infimum with an unknown of 1e-8 beside one of 1e5 is else off by parts in a hundred while
-    the solver is content.
+    An optimum is computed twice, the second time in units in which the first answer has size one: an infimum with an
+    unknown of 1e-8 beside one of 1e5 is else off by parts in a hundred while the solver is content.
     """
     around = None if near is None else problem.pack(near)
     first = _attempt(problem, conic_data(problem, margin, around), tolerance, time_limit)
     if not first.solved or problem.objective is None or margin:
         return first
-    point = problem.pack(first.values)
-    if first.solver.endswith(": Solved") and np.abs(np.log2(_units(problem, point))).max(initial=0.0) <= MODERATE:
-        return first
-    again = _attempt(problem, conic_data(problem, margin, point), tolerance, time_limit)
+    again = _attempt(problem, conic_data(problem, margin, problem.pack(first.values)), tolerance, time_limit)
     if not again.solver.endswith(": Solved"):
         return first
     effort = {"iterations": first.iterations + again.iterations, "seconds": first.seconds + again.seconds}

@@ -125,7 +125,7 @@ class LipschitzHinf(Method):
             premises=lipschitz_premises(plant),
             claim=_claim(plant),
             scope=lipschitz_scope(plant),
-            fixed={"K₁": 0.0}, unit=2.0**scaling.error,
+            fixed={"K₁": 0.0} | ({} if Bφ.shape[1] else {"β": 1.0}), unit=2.0**scaling.error,
             filter=None if also else {"A": A, "Bphi": Bφ, "B": B, "C1": C1, "E1": E1, "H1": H1, "H2": H2, "G": Hφ, "alpha": α},
         )
     # fmt: on

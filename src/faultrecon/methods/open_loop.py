@@ -78,6 +78,7 @@ class OpenLoop(Method):
             "bounded real, L = 0",
             [lmi.tagged("bounded real"), (P > 0).tagged("P > 0"), (β > 0).tagged("β > 0")],
             minimise=γ2, gains={}, prove_with={γ2: (U*γ)**2}, unit=2.0**scaling.error,
+            fixed={} if Bφ.shape[1] else {"β": 1.0},
             lyapunov=P, drift=P@A, readout=H1, noise=P@given("no noise", np.zeros((n, 0))),
             identities=[
                 Identity("T T⁻¹ = I", T@Ti - I(n)), Identity("U U⁻¹ = 1", U*Ui - I(1)),

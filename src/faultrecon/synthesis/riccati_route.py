@@ -37,8 +37,9 @@ def optimum(posed: Posed) -> LevelSolution | None:
     if posed.theorem.filter is None or not applies(posed):
         return None
     beta, form = posed.fixed.get("β"), filter_form(posed)
+    linear = form.arrays["Bphi"].shape[1] == 0  # β then stands in an empty block, and is held at one
     try:
-        held = None if beta is None else form.beta_unit * float(np.asarray(beta).item())
+        held = None if beta is None or linear else form.beta_unit * float(np.asarray(beta).item())
         found = optimal_level(**form.arrays, beta=held)
     except Inconclusive:
         return None
