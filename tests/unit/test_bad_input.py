@@ -12,19 +12,6 @@ from faultrecon.cli.app import app
 from faultrecon.io.template import TEMPLATE
 
 
-@pytest.fixture
-def cli(capsys):
-    """Runs a command line here; gives exit code, output and messages."""
-
-    def run(*arguments):
-        capsys.readouterr()
-        with pytest.raises(SystemExit) as left:
-            app([str(a) for a in arguments])
-        return left.value.code or 0, *capsys.readouterr()
-
-    return run
-
-
 @pytest.fixture(scope="module")
 def design_file(tmp_path_factory):
     folder = tmp_path_factory.mktemp("design")

@@ -22,19 +22,6 @@ LOG = "t,force,position_a,position_b,true_f_position_b_drift,note\n" + "".join(
 )
 
 
-@pytest.fixture
-def cli(capsys):
-    """Runs a command line here; gives exit code, output and messages."""
-
-    def run(*arguments):
-        capsys.readouterr()
-        with pytest.raises(SystemExit) as left:
-            app([str(a) for a in arguments])
-        return left.value.code or 0, *capsys.readouterr()
-
-    return run
-
-
 @pytest.fixture(scope="module")
 def made(tmp_path_factory):
     """A folder with a plant, its design and a log."""

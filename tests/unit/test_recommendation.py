@@ -10,22 +10,8 @@ import faultrecon as fr
 from faultrecon.advise.recommendation import EQUAL, error_of
 from faultrecon.advise.trials import trial_plants
 from faultrecon.advise.why_not import why_failed
-from faultrecon.cli.app import app
 
 SPRING, PENDULUM = trial_plants()
-
-
-@pytest.fixture
-def cli(capsys):
-    """Runs a command line here; gives exit code, output and messages."""
-
-    def run(*arguments):
-        capsys.readouterr()
-        with pytest.raises(SystemExit) as left:
-            app([str(a) for a in arguments])
-        return left.value.code or 0, *capsys.readouterr()
-
-    return run
 
 
 def test_every_method_is_in_the_table_and_applies_or_says_why_not():
