@@ -16,6 +16,7 @@ import numpy as np
 from faultrecon.lmi.expr import Expr, Inequality, show
 from faultrecon.lmi.problem import Problem
 from faultrecon.lmi.solve import Outcome, solve
+from faultrecon.lmi.walk import leaves
 
 STRICT = 1e-6
 """How far inside its scaled inequality a block has to get: else P = 0 would pass for P > 0."""
@@ -71,8 +72,6 @@ def _exprs(inequalities: Sequence[Inequality]) -> list[Expr]:
 
 
 def _known(problem: Problem, exprs: Sequence[Expr]) -> dict:
-    from faultrecon.lmi.walk import leaves
-
     present = leaves(exprs, "unknown")
     return {name: value for name, value in (problem.fixed or {}).items() if name in present}
 

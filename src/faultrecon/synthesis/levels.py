@@ -8,7 +8,7 @@ off, and among the gains that reach it one is picked by a second criterion.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -19,6 +19,7 @@ from faultrecon.finding import InputError
 from faultrecon.lmi.expr import Expr, I, Inequality, __, as_expr, given, sym, unknown
 from faultrecon.lmi.problem import Problem
 from faultrecon.lmi.solve import Outcome, solve
+from faultrecon.lmi.walk import leaves
 from faultrecon.methods.base import Method, Scaling, Theorem
 from faultrecon.numerics.annihilator import annihilator
 from faultrecon.numerics.scaling import state_scaling
@@ -179,8 +180,6 @@ def quietest(posed: Posed, level: float) -> Outcome:
 
 def smallest_gain(posed: Posed, level: float) -> Outcome:
     """Gains at this level that pass the least of unit noise on the healthy outputs (scaled units) to the state."""
-    from dataclasses import replace
-
     th = posed.theorem
     everything = replace(th, readout=I(th.lyapunov.shape[0]))
     return quietest(replace(posed, theorem=everything), level)
@@ -200,6 +199,4 @@ def multipliers(posed: Posed, gains: Mapping[str, Array], level: float) -> Outco
 
 
 def _unknowns(inequality: Inequality) -> list[str]:
-    from faultrecon.lmi.walk import leaves
-
     return list(leaves([inequality.expr], "unknown"))
