@@ -1,10 +1,11 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """The executable equations of an observer: matrices for the linear part, graphs for the rest.
 
-    ż = A z + B v + N φ(sat(S z + s0), u, t) + M g(y, u, t)        v = [u - u0; y - y0]
+    ż = A z + B v + N φ(sat(S z + S_v v + s0), u, t) + M g(y, u, t) + Σ G_n ν        v = [u - u0; y - y0]
     x̂ = x0 + Cx z + Dx v,    f̂ = Cf z + Df v,    y - F f̂ is the corrected measurement
 
-φ and g read absolute values; sat keeps the argument of φ in the domain for which its bound is claimed.
+φ and g read absolute values; sat keeps the argument of φ in the domain for which its bound is claimed.  Each ν is the
+discontinuous injection of a sliding-mode observer, see `Injection`; most observers have none.
 """
 
 from __future__ import annotations
@@ -22,7 +23,10 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class NonlinearTerm:
-    """N φ(sat(S z + s0), u, t): into N (nz, r), reads S (s, nz), offset s0 (s,), limits lower and upper (s,)."""
+    """N φ(sat(S z + S_v v + s0), u, t): into N (nz, r), reads S (s, nz), offset s0 (s,), limits lower and upper (s,).
+
+    direct: S_v (s, m+p), for observers whose x̂ reads the samples themselves; None where it is zero.
+    """
 
     into: Array
     reads: Array
@@ -30,6 +34,27 @@ class NonlinearTerm:
     lower: Array
     upper: Array
     phi: Graph
+    direct: Array | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Injection:
+    """The unit-vector injection of a sliding-mode observer, set valued where its argument vanishes.
+
+        e = reads z + direct v,    ν = -ρ P e / (|P e| + δ),    and any |ν| ≤ ρ at P e = 0 when δ = 0
+
+    linear: G_l (nz, k), so that A and B of the observer hold -G_l e already: the implicit step takes it apart again.
+    into: G_n (nz, k).  reads (k, nz), direct (k, m+p).  weight: P (k, k), symmetric and positive definite.
+    bound: ρ > 0 in the unit of e per second.  layer: δ >= 0 in the unit of P e; it smooths the injection.
+    """
+
+    linear: Array
+    into: Array
+    reads: Array
+    direct: Array
+    weight: Array
+    bound: float
+    layer: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,6 +84,7 @@ class Observer:
     y0: Array
     nonlinear: NonlinearTerm | None = None
     copied: CopiedTerm | None = None
+    injections: tuple[Injection, ...] = ()
 
     @property
     def inputs(self) -> int:
@@ -68,7 +94,7 @@ class Observer:
     @property
     def linear(self) -> bool:
         """Whether the matrices say it all."""
-        return self.nonlinear is None and self.copied is None
+        return self.nonlinear is None and self.copied is None and not self.injections
 
     @property
     def poles(self) -> NDArray[Any]:

@@ -255,6 +255,8 @@ class Stepper:
         if o.nonlinear is not None:
             term = o.nonlinear
             argument = _times(term.reads, z) + ca.DM(term.offset)
+            if term.direct is not None:
+                argument = argument + _times(term.direct, filled)
             out.append(term.phi.symbolic(ca.fmin(ca.fmax(argument, ca.DM(term.lower)), ca.DM(term.upper)), u, t))
         if o.copied is not None:
             out.append(o.copied.g.symbolic(y, u, t))
