@@ -8,6 +8,7 @@ import pytest
 
 import faultrecon as fr
 from faultrecon.io.library import library_names
+from faultrecon.methods.base import Unproved
 from faultrecon.methods.registry import all_methods, method
 from faultrecon.synthesis.levels import scale
 
@@ -115,6 +116,9 @@ def test_what_an_assumption_forbids_is_the_reason_there_is_no_design(name, libra
 @pytest.mark.parametrize("name", METHODS)
 def test_a_design_is_certified_and_states_the_theorem_of_its_method(name):
     for library, design in designs(name).items():
+        if isinstance(method(name), Unproved):
+            assert method(name).baseline and design.certificate is None and design.level is None
+            continue
         assert design.certificate is not None and design.verification is not None, library
         # A Lipschitz constant that somebody vouches for leaves the whole as strong as that word.
         premises = [s.verdict for s in design.certificate.steps if s.kind == "premise"]

@@ -67,7 +67,7 @@ class Question:
         if found is not None:
             return found.gamma
         if self.outcome.solved:
-            return math.sqrt(max(self.outcome.objective, 0.0)) / self.posed.theorem.unit
+            return self.posed.theorem.level(self.outcome.objective)
         return math.inf if self.outcome.status == "infeasible" else math.nan
 
     @property

@@ -15,6 +15,7 @@ from typing import Any, ClassVar, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from faultrecon.diagnosis.limits import Floor, reconstruction_floor
 from faultrecon.finding import Finding
 from faultrecon.graph.observer import CopiedTerm, NonlinearTerm, Observer
 from faultrecon.lmi.expr import Expr, Inequality, given
@@ -82,9 +83,11 @@ class Theorem:
     filter: the arguments of `numerics.level.optimal_level`, when the theorem is that one inequality in P, L and β.
     unit: what γ is multiplied by inside the program, so that it is near one there.
 
-    minimise: (1, 1) expression of the squared level.  gains: unknown that ships -> its formula.  prove_with: unknown
+    minimise: (1, 1) expression of the level to the given power, 2 unless said otherwise.  gains: unknown that ships -> its formula.  prove_with: unknown
     of the program -> its expression in the gains that ship, substituted before the proof.  lyapunov P, drift P (A - L C1),
-    readout H1 and noise (P L times sensor noise, one column per unit white source) serve the second criterion.
+    readout H1 and noise (P L times sensor noise, one column per unit white source) serve the second criterion; a theorem
+    that has one of its own names the expression whose largest eigenvalue is then to be least in `mildest`.
+    bases: given letters that any matrices may stand for that pass the identities: coordinates, found by the method.
     """
 
     number: str
@@ -103,6 +106,17 @@ class Theorem:
     fixed: Mapping[str, Any] = field(default_factory=dict)
     filter: Mapping[str, Expr] | None = None
     unit: float = 1.0
+    power: int = 2
+    mildest: Expr | None = None
+    bases: Sequence[str] = ()
+
+    def objective(self, level: float) -> float:
+        """What is minimised, at a level γ."""
+        return (self.unit * level) ** self.power
+
+    def level(self, objective: float) -> float:
+        """The level γ at a value of what is minimised."""
+        return max(objective, 0.0) ** (1.0 / self.power) / self.unit
 
 
 @dataclass(frozen=True)
@@ -183,13 +197,17 @@ def lipschitz_scope(plant: Plant) -> str:
 
 
 class Method(ABC):
-    """A published method.  Subclasses are found by scanning `faultrecon.methods` and the entry-point group."""
+    """A published method.  Subclasses are found by scanning `faultrecon.methods` and the entry-point group.
+
+    criterion: how gains that need no theorem are picked, in words.
+    """
 
     name: ClassVar[str]
     summary: ClassVar[str]
     paper: ClassVar[Paper]
     baseline: ClassVar[bool] = False
     variant_of: ClassVar[str | None] = None
+    criterion: ClassVar[str] = "none: there is nothing to choose"
     reproductions: ClassVar[Sequence[Reproduction]] = ()
 
     @abstractmethod
@@ -204,6 +222,24 @@ class Method(ABC):
     def observer(self, plant: Plant, gains: Mapping[str, NDArray[np.float64]]) -> Observer:
         """The executable equations with these gains."""
 
+    def floor(self, plant: Plant) -> Floor | None:
+        """What no estimator beats, in the terms of this method's level; None where none is known."""
+        return reconstruction_floor(plant)
+
+    def notes(self, plant: Plant, gains: Mapping[str, NDArray[np.float64]]) -> tuple[str, ...]:
+        """What else a user of these gains should read in the report."""
+        return ()
+
     def gains_without_proof(self, plant: Plant) -> dict[str, NDArray[np.float64]] | None:
         """Gains that need no theorem to be run (a baseline's), or None."""
         return None
+
+
+class Unproved(Method):
+    """A baseline that claims nothing: it ships `gains_without_proof`, and its designs carry no certificate."""
+
+    baseline = True
+
+    def theorem(self, plant: Plant, scaling: Scaling) -> Theorem:
+        """There is none."""
+        raise NotImplementedError(f"{self.name} claims nothing, so it has no theorem")

@@ -88,7 +88,8 @@ def conforms(made: Certificate, theorem: Theorem) -> bool:
     """Whether a stored certificate states this theorem, and not something weaker with the same name.
 
     Claim, scope, definitions and steps have to be the theorem's own, and so do its given matrices (the plant's, and
-    those like N and F⁺ that the observer derives again); the units T and R, multipliers, gains and the level are free.
+    those like N and F⁺ that the observer derives again); the units T and R, coordinates that the theorem calls bases,
+    multipliers, gains and the level are free.
     """
     claims = _claims(theorem)
     exprs = [expr for _, _, expr, _ in claims]
@@ -96,8 +97,8 @@ def conforms(made: Certificate, theorem: Theorem) -> bool:
     same = made.steps == _steps(theorem, claims) and dict(made.lets) == _definitions(exprs)
     ships = {u.name: u.shape for u in theorem.gains} == {k: tuple(v["shape"]) for k, v in made.gains.items()}
     stored = {**made.data, **{f"plant.{k}": v for k, v in made.plant["matrices"].items()}}
-    givens = leaves(exprs, "given")
-    alike = all(stored.get(k) == exact_matrix(leaf.args[1]) for k, leaf in givens.items() if k not in UNITS)
+    givens, free = leaves(exprs, "given"), {*UNITS, *theorem.bases}
+    alike = all(stored.get(k) == exact_matrix(leaf.args[1]) for k, leaf in givens.items() if k not in free)
     return words and same and ships and alike and made.level > 0
 
 

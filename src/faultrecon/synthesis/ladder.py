@@ -19,7 +19,7 @@ from faultrecon.certificate import Certificate, Verification
 from faultrecon.lmi.quick import quickly_proved
 from faultrecon.lmi.solve import Outcome
 from faultrecon.synthesis.certify import certificate, proof_inequalities, prove, shipped
-from faultrecon.synthesis.levels import Posed, multipliers, quietest, smallest_gain
+from faultrecon.synthesis.levels import Posed, mildest, multipliers, quietest, smallest_gain
 
 Array = NDArray[np.float64]
 
@@ -79,6 +79,8 @@ def climb(
 
 def pick(posed: Posed, level: float) -> tuple[Outcome, str]:
     """Gains at this level by the second criterion that suits the plant, and that criterion in words."""
+    if posed.theorem.mildest is not None:
+        return mildest(posed, level), "the mildest gains: least largest eigenvalue of P"
     if posed.plant.noise is not None and any(posed.plant.noise.sd):
         return quietest(posed, level), "least noise in the reconstructed fault (bound)"
     return smallest_gain(posed, level), "least gain from the healthy outputs to the state, in scaled units (bound)"

@@ -63,7 +63,7 @@ class Posed:
 
     def at_level(self, level: float) -> Problem:
         """The feasibility problem at a level."""
-        fixed = {**self.fixed, self.theorem.minimise.name: (self.theorem.unit * level) ** 2}
+        fixed = {**self.fixed, self.theorem.minimise.name: self.theorem.objective(level)}
         return Problem(self.inequalities(), None, fixed)
 
 
@@ -176,6 +176,16 @@ def quietest(posed: Posed, level: float) -> Outcome:
             return best
         weights = pair
     return best
+
+
+def mildest(posed: Posed, level: float) -> Outcome:
+    """Gains at this level by the theorem's own second criterion: the least largest eigenvalue of `mildest`."""
+    expr = posed.theorem.mildest
+    assert expr is not None, "asked of a theorem that has no second criterion of its own"
+    t, problem = unknown("t"), posed.at_level(level)
+    near = solve(problem, margin=INSIDE).values or None
+    below = Inequality(t * I(expr.shape[0]) - expr, ">", 0, "second criterion")
+    return solve(Problem([*problem.inequalities, below], t, problem.fixed), margin=INSIDE, near=near)
 
 
 def smallest_gain(posed: Posed, level: float) -> Outcome:

@@ -12,10 +12,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from faultrecon.diagnosis.limits import reconstruction_floor
-from faultrecon.finding import Impossible, Inconclusive, InputError
+from faultrecon.finding import Finding, Impossible, Inconclusive, InputError
 from faultrecon.lmi.solve import Outcome
-from faultrecon.methods.base import Method
+from faultrecon.methods.base import Method, Unproved
 from faultrecon.methods.registry import method as method_named
 from faultrecon.numerics.level import LevelSolution
 from faultrecon.plant.plant import Plant
@@ -74,14 +73,11 @@ def design(
         plant = plant.with_faults(faults)
     chosen = method_named(method)
     _options(backoff, level)
-    if not certify:
+    if not certify or isinstance(chosen, Unproved):
         return _unproved(chosen, plant, started)
-    findings = chosen.assumptions(plant)
-    for finding in findings:
-        if finding.severity == "fatal":
-            raise Impossible(finding)
+    findings = _allowed(chosen, plant)
     say("floor")
-    peak = reconstruction_floor(plant)
+    peak = chosen.floor(plant)
     floor = None if peak is None else peak.value
     if level is not None and floor is not None and level < floor:
         raise Impossible(below_floor(level, floor))
@@ -118,7 +114,7 @@ def design(
         bounded_optimum=bounded if posed.pole_bound is not None else None,
         attempts=tuple(str(rung) for rung in rungs),
         seconds=time.perf_counter() - started,
-        notes=(*notes, *(str(f) for f in findings)),
+        notes=(*notes, *chosen.notes(plant, proven.gains), *(str(f) for f in findings)),
     )
     result = Design(plant, method, proven.gains, best, proven.level, floor, proven.certificate, details)
     result.__dict__["verification"] = proven.verification  # fills the cached property: the proof is not run twice
@@ -158,6 +154,15 @@ def _options(backoff: float, level: float | None) -> None:
         raise InputError(f"the level is {level}", why=f"γ is a positive number below {LARGEST_LEVEL:g}")
 
 
+def _allowed(chosen: Method, plant: Plant) -> list[Finding]:
+    """What the plant violates of the method's assumptions without forbidding a design.  Raises Impossible otherwise."""
+    findings = chosen.assumptions(plant)
+    for finding in findings:
+        if finding.severity == "fatal":
+            raise Impossible(finding)
+    return findings
+
+
 def _checked_optimum(posed: Posed, by_riccati: LevelSolution | None) -> tuple[float, tuple[str, ...]]:
     """The optimum by both routes where both apply; the Riccati value, unless its own bounds are apart.
 
@@ -182,7 +187,7 @@ def _checked_optimum(posed: Posed, by_riccati: LevelSolution | None) -> tuple[fl
 
 def _level(outcome: Outcome, posed: Posed) -> float:
     if outcome.solved:
-        return math.sqrt(max(outcome.objective, 0.0)) / posed.theorem.unit
+        return posed.theorem.level(outcome.objective)
     if outcome.status == "infeasible":
         raise Impossible(no_solution(posed, outcome))
     raise Inconclusive(no_answer(posed, outcome))
@@ -225,6 +230,7 @@ def automatic_pole_bound(plant: Plant) -> float:
 
 
 def _unproved(chosen: Method, plant: Plant, started: float) -> Design:
+    findings = _allowed(chosen, plant) if isinstance(chosen, Unproved) else []
     gains = chosen.gains_without_proof(plant)
     if gains is None:
         raise InputError(f"{chosen.name} has no gains without its theorem", remedies=("leave certify=True",))
@@ -232,11 +238,12 @@ def _unproved(chosen: Method, plant: Plant, started: float) -> Design:
         plant,
         chosen.observer(plant, gains),
         gains,
-        criterion="none: there is nothing to choose",
+        criterion=chosen.criterion,
         backoff=0.0,
         pole_bound=None,
         bounded_optimum=None,
         attempts=(),
         seconds=time.perf_counter() - started,
+        notes=(*chosen.notes(plant, gains), *(str(f) for f in findings)),
     )
     return Design(plant, chosen.name, gains, None, None, None, None, details)
