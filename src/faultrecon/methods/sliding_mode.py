@@ -18,8 +18,6 @@ not in the inequality), and (54) contains M, which the printed one leaves out.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
-from functools import lru_cache
 from typing import Any, ClassVar
 
 import numpy as np
@@ -28,89 +26,48 @@ from numpy.typing import NDArray
 from faultrecon.diagnosis import conditions
 from faultrecon.diagnosis.existence import additive_sensor_findings, fault_findings
 from faultrecon.diagnosis.limits import Floor, hidden_floor
+from faultrecon.diagnosis.sliding import WEAK, constant_fault, nearly_hidden, not_exact, structure
 from faultrecon.finding import Finding
 from faultrecon.graph.observer import CopiedTerm, Injection, Observer
-from faultrecon.lmi.expr import Expr, I, Inequality, __, given, let, sym, unknown, zeros
-from faultrecon.methods.base import Identity, Method, Reproduction, Scaling, Theorem, deviations
+from faultrecon.lmi.expr import Expr, I, Inequality, __, let, sym, unknown, zeros
+from faultrecon.methods.base import ClosedForm, Method, Reproduction, Scaling, Theorem, deviations
 from faultrecon.methods.papers import ALWI_2009
+from faultrecon.methods.sliding_letters import (
+    AugmentedLetters,
+    augmented_letters,
+    coordinates,
+    growth_time,
+    multiplier,
+    no_direct,
+    shipped,
+)
 from faultrecon.numerics.hinf import hinf_norm
 from faultrecon.numerics.pencil import unobservable_modes
 from faultrecon.numerics.sliding import (
-    Canonical,
-    canonical,
     high_frequency_gain,
+    linear_gain,
     minimal_gamma0,
     peak_injection,
+    reduced_riccati,
     sliding_motion,
+    smallest_level,
 )
 from faultrecon.plant.plant import Plant
 
 Array = NDArray[np.float64]
 
-ROUNDING = 2.0**-40
-"""T_c T_c⁻¹ = I and S C_a T_c⁻¹ = [0 I] hold exactly where sensors read single states, else to rounding far below this."""
-WEAK = 1e-3
-"""Relative distance to undetectability below which the exact design (L2 = 0) needs gains that amplify noise by thousands:
-modes that are nearly hidden are then treated as hidden."""
 LEAST_P = 0.01
 """Default of p_min in P >= p_min I: without it the optimum is approached by P that lose rank and gains without bound."""
 TRUST = 10.0
 """Default γ₀ of the linear part, in units of the time in which a fault grows to its size: the paper's."""
+FICTITIOUS = (0.1, 0.01)
+"""Noises that make the reduced Riccati equation regular: of the healthy outputs, and of the states."""
+LEEWAY = 1e-3
+"""How far below the level its gains are computed, so that multipliers prove it strictly."""
+OUTPUTS_FASTER = 3.0
+"""How much faster than the sliding motion the errors of the outputs decay by the linear part alone."""
 SURE = 2.0
 """The injection's bound over what the sliding motion needs at most: the rest is for the way to the sliding surface."""
-
-
-@dataclass(frozen=True, eq=False)
-class Coordinates:
-    """Canonical coordinates in declared units: barred state T_c [x; f], barred outputs S y.
-
-    form: of the plant in declared ranges and sizes, real time.  T, Ti (N, N), S, Si (p, p): from the plant's own units.
-    pace: a power of two near the plant's time constants, s.
-    """
-
-    form: Canonical
-    T: Array
-    Ti: Array
-    S: Array
-    Si: Array
-    ranges: Array
-    pace: float
-
-
-@lru_cache(maxsize=32)
-def coordinates(plant: Plant) -> Coordinates:
-    """The canonical coordinates of a plant that meets the method's assumptions."""
-    t, r = (_powers(np.array(group.ranges, float)) for group in (plant.signals.x, plant.signals.y))
-    size = np.array([f.size for f in plant.faults])
-    weights = plant.letters()
-    form = canonical(
-        plant.A * t / t[:, None],
-        plant.B / t[:, None],
-        plant.C * t / r[:, None],
-        plant.F_f * size / r[:, None],
-        plant.E_w @ weights["W"] / t[:, None],
-    )
-    units = np.concatenate([t, size])
-    return Coordinates(
-        form, form.T / units, units[:, None] * form.T_inverse, form.S / r, r[:, None] * form.S_inverse, r, _pace(plant)
-    )
-
-
-def _powers(ranges: Array) -> Array:
-    """The nearest powers of two, so that units come and go without rounding; one where no range is declared."""
-    return np.exp2(np.rint(np.log2(np.where(np.isfinite(ranges), ranges, 1.0))))
-
-
-def _pace(plant: Plant) -> float:
-    rates = np.abs(np.linalg.eigvals(plant.A))
-    rates = rates[rates > 1e-9 * rates.max(initial=0.0)]
-    return float(np.exp2(np.rint(-np.mean(np.log2(rates))))) if rates.size else 1.0
-
-
-def growth_time(plant: Plant) -> float:
-    """The time in which the slowest declared fault grows to its size, s; 1 where no rate is declared."""
-    times = [f.size / f.rate for f in plant.faults if np.isfinite(f.rate)]
-    return max(times, default=1.0)
 
 
 class SlidingMode(Method):
@@ -128,14 +85,14 @@ class SlidingMode(Method):
 
     def assumptions(self, plant: Plant) -> list[Finding]:
         """Additive faults on fewer sensors than there are, C of full row rank, a linear plant, no hidden equilibrium."""
-        found = additive_sensor_findings(plant) or fault_findings(plant) or _structure(plant) or _constant_fault(plant)
+        found = additive_sensor_findings(plant) or fault_findings(plant) or structure(plant) or constant_fault(plant)
         if found:
             return found
         seen = conditions.detectable(plant)
         if self.exact and seen.distance < WEAK:
-            return [_not_exact(plant, seen)]
+            return [not_exact(plant, seen)]
         if self.exact is None and seen.holds and seen.distance < WEAK:
-            return [_nearly_hidden(seen)]
+            return [nearly_hidden(seen)]
         return []
 
     def floor(self, plant: Plant) -> Floor | None:
@@ -157,8 +114,8 @@ class SlidingMode(Method):
         P, shared by both, has the blocks P11, P12 and P22 of the sliding motion and the outputs.  G_l is eliminated from
         (46) as in (47); the proof puts the gains that ship back.  For L2 = 0 the fault's rate leaves (54) altogether.
         """
-        m = _letters(plant)
-        P, P12, P11 = _multiplier(m, exact)
+        m = augmented_letters(plant)
+        P, P12, P11 = multiplier(m, exact)
         γ0, γ  = m.U*unknown("γ₀"), unknown("γ_U")
         X11    = let("X11", (m.J1.T@P)@m.A@m.J1 + m.J1.T@m.A.T@(m.J1.T@P).T)
         B2, M2 = let("P11 L2", (m.J1.T@P)@m.F), let("B_ψ", (m.J1.T@P)@m.M)
@@ -181,7 +138,7 @@ class SlidingMode(Method):
             minimise=γ, power=1, unit=1 / m.pace, mildest=P,
             gains=gains, prove_with=back | {γ: m.U*level},
             lyapunov=P, drift=m.U*(P@m.A - Y@m.C), readout=m.E, noise=m.U*Y@m.noise,
-            identities=[*m.identities(), *_no_direct(m, exact)],
+            identities=[*m.identities(), *no_direct(m, exact)],
             claim=self._claim(plant, exact), scope=_scope(plant),
             fixed=_fixed(plant) | ({"decay": _decay(plant)} if exact else {}), bases=m.bases,
         )
@@ -192,8 +149,8 @@ class SlidingMode(Method):
         (54) would then hold at every level and says nothing about how fast; a decay rate of the sliding motion stands
         in its place.
         """
-        m = _letters(plant)
-        P, P12, P11 = _multiplier(m, True)
+        m = augmented_letters(plant)
+        P, P12, P11 = multiplier(m, True)
         γ0, γ  = unknown("γ_U"), m.U*unknown("γ")
         X11    = let("X11", (m.J1.T@P)@m.A@m.J1 + m.J1.T@m.A.T@(m.J1.T@P).T)
         linear, gains, back, Y = self._linear_part(m, P, P12, P11, (γ0, γ), True)
@@ -205,12 +162,12 @@ class SlidingMode(Method):
             minimise=γ0, power=1, unit=1 / m.pace, mildest=P,
             gains=gains, prove_with=back | {γ0: γ},
             lyapunov=P, drift=m.U*(P@m.A - Y@m.C), readout=m.E, noise=m.U*Y@m.noise,
-            identities=[*m.identities(), *_no_direct(m, True)],
+            identities=[*m.identities(), *no_direct(m, True)],
             claim=self._claim(plant, True), scope=_scope(plant),
             fixed={k: v for k, v in fixed.items() if k != "γ₀"}, bases=m.bases,
         )
 
-    def _linear_part(self, m: _Letters, P: Expr, P12: Expr, P11: Expr, levels: tuple[Expr, Expr], exact: bool) -> tuple[Inequality, dict[Expr, Expr], dict[Expr, Expr], Expr]:
+    def _linear_part(self, m: AugmentedLetters, P: Expr, P12: Expr, P11: Expr, levels: tuple[Expr, Expr], exact: bool) -> tuple[Inequality, dict[Expr, Expr], dict[Expr, Expr], Expr]:
         """(46) with (63) as it stands in the proof, for any Y = P G_l; the program holds Y at γ₀ w_y Cᵀ (S D1 D1ᵀ Sᵀ)⁻¹.
 
         levels: γ₀ in the program, and as the gains that ship are to be read.
@@ -225,20 +182,7 @@ class SlidingMode(Method):
                       [ __, __                , -γ0*I(m.M.shape[1]),  0      ,  0          ],
                       [ __, __                ,  __                , -γ0*W   ,  0          ],
                       [ __, __                ,  __                ,  __     , -γ0*I(m.q)  ]]) < 0
-        L, G_l, P0 = m.L, unknown("G_l", m.N, m.p), unknown("P0", m.p, m.p)
-        schur = m.J2.T@P@m.J2 - P12.T@P11.inv()@P12
-        gains = {
-            L: P11.inv()@P12,
-            G_l: m.U*(m.Ti@P.inv()@Y@m.S),                                                                  # (47)
-            P0: 0.5*(schur + schur.T),
-        }
-        P22, half = unknown("P22", m.p, m.p, symmetric=True), unknown("P12", m.n1, m.p - m.q if exact else m.p)
-        P_L = let("P_L", sym([[P11, P11@L], [__, P0 + L.T@P11@L]]))                     # P in the gains that ship
-        back = {
-            half: P11@L@m.healthy if exact else P11@L,
-            P22: P0 + L.T@P11@L,
-            ΔY: m.Ui*(P_L@m.T@G_l@m.Si) - γ0_ships*(m.J2@W),
-        }
+        gains, back = shipped(m, (P, P12, P11), Y, γ0_ships*(m.J2@W), exact)
         return lmi_46.tagged("(46)"), gains, back, Y
     # fmt: on
 
@@ -321,6 +265,90 @@ class SlidingModeExact(SlidingMode):
     exact = True
 
 
+class SlidingModeRiccati(SlidingMode):
+    """Without a semidefinite program: L from a Riccati equation of the hidden motion, G_l block triangular.
+
+    Only ‖ξ → f̂ - f‖ is then optimised, and the linear part is claimed to be stable, at no level.  The implicit step is
+    approximate with such a G_l.
+    """
+
+    name = "sliding-mode-riccati"
+    summary = "sliding-mode with gains from one Riccati equation and no semidefinite program; hidden modes only"
+    variant_of = "sliding-mode"
+    backoff = 0.3  # the floor is approached by gains that amplify noise: under noise the best are a third above it
+    reproductions = ()
+
+    def assumptions(self, plant: Plant) -> list[Finding]:
+        """Those of sliding-mode; a hidden mode to trade against noise, and no disturbance of the states."""
+        found = super().assumptions(plant)
+        if any(f.severity == "fatal" for f in found):
+            return found
+        if hidden_floor(plant) is None:
+            return [
+                Finding(
+                    "the healthy sensors see every mode, so nothing is to be traded",
+                    why="L2 = 0 is exact in sliding",
+                    evidence={"distance": conditions.detectable(plant).distance},
+                    remedies=("use sliding-mode",),
+                    see="Alwi 2009, section 3",
+                )
+            ]
+        if np.any(plant.E_w):
+            return [
+                Finding(
+                    f"{plant.name} declares disturbances of the states",
+                    why="the Riccati equation of the hidden motion weighs the fault's rate alone",
+                    evidence={"disturbances": len(plant.attenuated)},
+                    remedies=("use sliding-mode, whose level counts them",),
+                    see="Alwi 2009, (63)",
+                )
+            ]
+        return found
+
+    # fmt: off
+    def theorem(self, plant: Plant, scaling: Scaling) -> Theorem:
+        """(54) for the sliding motion, and a Lyapunov inequality for the linear part."""
+        m = augmented_letters(plant)
+        P, P12, P11 = multiplier(m, False)
+        γ, ΔY  = unknown("γ_U"), unknown("ΔY", m.N, m.p)
+        X11    = let("X11", (m.J1.T@P)@m.A@m.J1 + m.J1.T@m.A.T@(m.J1.T@P).T)
+        Ce     = m.E@m.J1
+        lmi_54 = sym([[ X11, -(m.J1.T@P)@m.F,  Ce.T     ],
+                      [ __ , -γ*I(m.q)      ,  0        ],
+                      [ __ , __             , -γ*I(m.q) ]]) < 0                                                # (54)
+        stable = P@m.A + m.A.T@P - ΔY@m.C - m.C.T@ΔY.T < 0
+        gains, back = shipped(m, (P, P12, P11), ΔY, zeros(m.N, m.p), False)
+        return Theorem(
+            "54, Riccati",
+            [stable.tagged("linear part stable"), lmi_54.tagged("(54)"), (P > 0).tagged("P > 0")],
+            minimise=γ, power=1, unit=1 / m.pace, mildest=P,
+            gains=gains, prove_with=back | {γ: m.U*unknown("γ")},
+            lyapunov=P, drift=m.U*(P@m.A - ΔY@m.C), readout=m.E, noise=m.U*ΔY@m.noise,
+            identities=m.identities(), claim=self._claim(plant, False), scope=_scope(plant).replace("stable, level γ₀", "stable"),
+            bases=m.bases,
+        )
+    # fmt: on
+
+    def closed_form(self, plant: Plant) -> ClosedForm:
+        """The reduced Riccati equation with fictitious noises small enough to cost less than a part in a thousand."""
+        own = coordinates(plant)
+        size = float(np.linalg.norm(own.form.A11, 2)) or 1.0
+
+        def at(level: float) -> dict[str, Array] | None:
+            L = reduced_riccati(own.form, level / (1.0 + LEEWAY), FICTITIOUS[0], FICTITIOUS[1] * np.sqrt(size))
+            if L is None:
+                return None
+            poles = np.linalg.eigvals(own.form.A11 + L @ own.form.A21)
+            p, fastest = own.form.p, float(np.abs(poles).max())
+            Y = own.pace * linear_gain(own.form, L, -OUTPUTS_FASTER * fastest * np.eye(p))
+            n1 = own.form.n1
+            P = np.block([[np.eye(n1), L], [L.T, np.eye(p) + L.T @ L]])
+            return {"P11": np.eye(n1), "P12": L, "P22": P[n1:, n1:], "ΔY": P @ Y, "γ_U": np.array([[level / own.pace]])}
+
+        least = smallest_level(own.form, FICTITIOUS[0], FICTITIOUS[1] * np.sqrt(size)) * (1.0 + LEEWAY)
+        return ClosedForm(least, at, "Riccati equation of the hidden motion")
+
+
 class SlidingModePrinted(SlidingMode):
     """The theorem with (54) as printed, which leaves M out: its level is not one for ψ; kept to compare."""
 
@@ -334,94 +362,6 @@ class SlidingModePrinted(SlidingMode):
         if not plant.attenuated:
             return super()._claim(plant, exact)
         return "while it slides, ∫|f̂ - f|² dt ≤ γ² ∫|f'|² dt + V(e1(0)) when ψ = 0; nothing for ψ ≠ 0, which (54) as printed omits"
-
-
-# ---------------------------------------------------------------- letters
-
-
-@dataclass(frozen=True, eq=False)
-class _Letters:
-    """The augmented plant of the paper as expressions, in canonical coordinates and units of time 1/U."""
-
-    n1: int
-    p: int
-    q: int
-    pace: float
-    A: Expr
-    C: Expr
-    F: Expr
-    M: Expr
-    E: Expr
-    T: Expr
-    Ti: Expr
-    S: Expr
-    Si: Expr
-    U: Expr
-    Ui: Expr
-    Ri: Expr
-    J1: Expr
-    J2: Expr
-    noise: Expr
-    L: Expr
-    bases: tuple[str, ...] = ("T_c", "T_c⁻¹", "S", "S⁻¹")
-
-    @property
-    def N(self) -> int:
-        return self.n1 + self.p
-
-    @property
-    def healthy(self) -> Expr:
-        """[I; 0], (p, p-q): the healthy ones among the barred outputs."""
-        return given("[I; 0]", np.eye(self.p, self.p - self.q))
-
-    def identities(self) -> list[Identity]:
-        below = given("[0 I]", np.eye(self.p, self.N, self.n1))
-        return [
-            Identity("T_c T_c⁻¹ = I", self.T @ self.Ti - I(self.N), ROUNDING),
-            Identity("S S⁻¹ = I", self.S @ self.Si - I(self.p), ROUNDING),
-            Identity("U U⁻¹ = 1", self.U * self.Ui - I(1)),
-            Identity("C_a = [0 I]: the outputs are the last states", self.C - below, ROUNDING),
-        ]
-
-
-def _letters(plant: Plant) -> _Letters:
-    own, s = coordinates(plant), {k: given(f"plant.{k}", v) for k, v in plant.letters().items()}
-    n, p, q = plant.n, plant.p, len(plant.faults)
-    N, n1 = n + q, n + q - p
-    Jx, Jf = given("J_x", np.eye(N, n)), given("J_f", np.eye(N, q, -n))
-    T, Ti = given("T_c", own.T), given("T_c⁻¹", own.Ti)
-    S, Si = given("S", own.S), given("S⁻¹", own.Si)
-    U, Ui = given("U", 1.0 / own.pace), given("U⁻¹", own.pace)
-    V, Vi = s["V"], given("V⁻¹", np.diag([f.size for f in plant.faults]))
-    sd = np.zeros((p, 0)) if plant.noise is None else np.diag(np.sqrt(plant.noise.hold) * np.array(plant.noise.sd))
-    return _Letters(
-        n1, p, q, own.pace,
-        A=let("A_a", Ui * (T @ Jx @ s["A"] @ Jx.T @ Ti)),
-        C=let("C_a", S @ (s["C"] @ Jx.T + s["F_f"] @ Jf.T) @ Ti),
-        F=let("F_a", T @ Jf @ Vi),
-        M=let("M_a", T @ Jx @ s["E_w"] @ s["W"]),
-        E=let("C_f", V @ Jf.T @ Ti),
-        T=T, Ti=Ti, S=S, Si=Si, U=U, Ui=Ui, Ri=given("(ranges)⁻¹", np.diag(1.0 / own.ranges)),
-        J1=given("J_1", np.eye(N, n1)), J2=given("J_2", np.eye(N, p, -n1)),
-        noise=S @ given("noise", sd),
-        L=unknown("L", n1, p),
-    )  # fmt: skip
-
-
-def _multiplier(m: _Letters, exact: bool) -> tuple[Expr, Expr, Expr]:
-    """P by its blocks, its block P12 and P11; for L2 = 0 the columns of P12 that belong to faulty outputs are zero."""
-    P11, P22 = unknown("P11", m.n1, m.n1, symmetric=True), unknown("P22", m.p, m.p, symmetric=True)
-    free = unknown("P12", m.n1, m.p - m.q if exact else m.p)
-    P12 = free @ m.healthy.T if exact else free
-    return let("P", sym([[P11, P12], [__, P22]])), P12, P11
-
-
-def _no_direct(m: _Letters, exact: bool) -> list[Identity]:
-    """L2 = 0, when that is what the proof has put in."""
-    if not exact:
-        return []
-    faulty = given("[0; I]", np.eye(m.p, m.q, -(m.p - m.q)))
-    return [Identity("L2 = 0: the rate of the fault does not enter", m.L @ faulty)]
 
 
 def _fixed(plant: Plant) -> dict[str, Any]:
@@ -462,95 +402,6 @@ def _linear_level(plant: Plant, observer: Observer) -> float:
     size = np.array([f.size for f in plant.faults])
     into = np.vstack([np.zeros((n, q)), np.diag(size)])
     return hinf_norm(observer.A, into, observer.Cf / size[:, None], np.zeros((q, q))).value
-
-
-# ---------------------------------------------------------------- why not
-
-
-def _structure(plant: Plant) -> list[Finding]:
-    """What the canonical form needs: fewer faults than sensors, no sensor that repeats others, a linear plant."""
-    see = "Alwi 2009, section 2"
-    if len(plant.faults) >= plant.p:
-        return [
-            Finding(
-                f"{len(plant.faults)} faults are declared on {plant.p} sensors",
-                why="at least one output has to be free of faults",
-                evidence={"faults": len(plant.faults), "sensors": plant.p},
-                remedies=("declare fewer faults at a time (faults=[...] or --fault)",),
-                see=see + ": p > q",
-            )
-        ]
-    if plant.nonlinearity is not None:
-        return [
-            Finding(
-                f"{plant.name} is nonlinear",
-                why="the sliding motion is analysed for a linear plant",
-                evidence={"nonlinear terms": plant.G.shape[1]},
-                remedies=("linearise it at its operating point (plant.linearised)", "use lipschitz-hinf"),
-                see=see,
-            )
-        ]
-    scale = np.linalg.norm(plant.C, axis=1)
-    rows = plant.C / np.where(scale > 0, scale, 1.0)[:, None]
-    singular = np.linalg.svd(rows, compute_uv=False)
-    if plant.p > plant.n or singular.min() <= 1e-10 * singular.max():
-        rank = int(np.sum(singular > 1e-10 * singular.max()))
-        return [
-            Finding(
-                f"the {plant.p} sensors of {plant.name} measure only {rank} independent combinations of its states",
-                why="the canonical form needs C of full row rank",
-                evidence={"rank": rank, "sensors": plant.p, "smallest singular value": float(singular.min())},
-                remedies=(
-                    "leave a redundant sensor out of the plant",
-                    "use lipschitz-hinf, which takes redundant sensors",
-                ),
-                see=see,
-            )
-        ]
-    return []
-
-
-def _constant_fault(plant: Plant) -> list[Finding]:
-    """A mode at the origin that only the faulty sensors see looks like a constant fault; Lemma 2 as an equivalence."""
-    floor = hidden_floor(plant)
-    if floor is None or np.isfinite(floor.value):
-        return []
-    return [
-        Finding(
-            "a constant fault cannot be told from a drift of the plant",
-            why="the healthy sensors miss a mode of A at the origin, which the faulty ones see",
-            evidence={"mode": [floor.modes[0].real, floor.modes[0].imag]},
-            remedies=("add a healthy sensor that sees this mode", "protect the sensor that sees it"),
-            see="Alwi 2009, Lemma 2: (A_a, C_a) observable",
-        )
-    ]
-
-
-def _not_exact(plant: Plant, seen: conditions.Condition) -> Finding:
-    where = seen.where or 0j
-    word = f"s = {where.real:.6g}" + (f" ± {abs(where.imag):.6g}j" if where.imag else "")
-    return Finding(
-        f"no design with L2 = 0: the healthy sensors do not see the mode at {word}"
-        if not seen.holds
-        else f"no design with L2 = 0: the healthy sensors hardly see the mode at {word}",
-        why=f"relative distance to undetectability {seen.distance:.2g}, needed {WEAK:g}"
-        + (f"; it lives in {', '.join(seen.states)}" if seen.states else ""),
-        evidence={"mode": [where.real, where.imag], "distance": seen.distance, "states": list(seen.states)},
-        remedies=("use sliding-mode, which lets L2 differ from zero", "add a healthy sensor that sees this mode"),
-        see="Alwi 2009, Lemma 1 and section 3: (A, C_1) detectable",
-    )
-
-
-def _nearly_hidden(seen: conditions.Condition) -> Finding:
-    where = seen.where or 0j
-    return Finding(
-        f"the healthy sensors hardly see the mode at {where.real:.4g}{where.imag:+.4g}j, so it is treated as hidden",
-        why=f"a relative change of {seen.distance:.1e} in the model would hide it, and gains that rely on it amplify noise",
-        evidence={"distance": seen.distance, "tolerance": WEAK},
-        remedies=("use sliding-mode-exact after adding a sensor", "add a healthy sensor that sees this mode"),
-        severity="warning",
-        see="Alwi 2009, section 3",
-    )
 
 
 _NOT_ATTAINED = (
