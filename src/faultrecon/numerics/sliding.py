@@ -35,8 +35,8 @@ class Canonical:
 
     State [Nᵀx; C_2 x; C_1 x; y_2] = T [x; f], N = n+q entries, outputs S y = [healthy; faulty], S F = [0; I] so that f
     keeps its units.  A_a (N, N), B_a (N, m), C_a = [0 I] (p, N), F_a = [0; I] (N, q), M_a (N, h), C_f (q, N) with
-    f = C_f x_a.  S, S_inverse (p, p), T, T_inverse (N, N).  A gain Gl of these coordinates is T⁻¹ Gl S of the plant's,
-    Gn is T⁻¹ Gn.  Parts: n1 = n + q - p errors are left in sliding, A_a = [A11 A12; A21 A22] with A11 (n1, n1),
+    f = C_f x_a.  S, S_inverse (p, p), T, T_inverse (N, N).  Gl and Gn in these coordinates are T⁻¹ Gl S and T⁻¹ Gn in
+    the plant's.  Parts: n1 = n + q - p errors are left in sliding, A_a = [A11 A12; A21 A22] with A11 (n1, n1),
     A21 = [A211; A212] with p - q and q rows, M_a = [M_1; M_2], C_e = [0 -I] (q, n1).  A212 repeats the last q rows of
     A11, and the last q columns of A12 and A22 are zero.
     """
