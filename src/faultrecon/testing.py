@@ -308,33 +308,11 @@ def check_poles_are_stable(trial: Trial) -> None:
 @_check
 def check_constant_fault_arrives(trial: Trial) -> None:
     """A constant fault comes out with gain one and no other fault with it, once the observer has settled."""
-    o, F = trial.design.observer, trial.plant.F_f
     if any(f.site == "actuator" or f.effect == "multiplicative" for f in trial.plant.faults):
         return  # these move the states: how they arrive is not read off the observer alone
-    gain = _settled_gain(trial) if o.injections else _gain_at_rest(trial)
-    error = np.abs(gain - np.eye(F.shape[1])).max()
+    gain = trial.constant_gain
+    error = np.abs(gain - np.eye(len(gain))).max()
     _claim(error <= UNIT_GAIN, f"{trial.method.name} shows a constant fault with the gain {np.round(gain, 3).tolist()}")
-
-
-def _gain_at_rest(trial: Trial) -> Array:
-    """From constant faults to their estimates, (q, q), for an observer whose linear part decides it."""
-    o, F = trial.design.observer, trial.plant.F_f
-    drive = o.B[:, o.inputs :] @ F
-    rest = np.eye(len(o.A)) - o.A if trial.plant.sample_time is not None else -o.A
-    return o.Cf @ np.linalg.solve(rest, drive) + o.Df[:, o.inputs :] @ F
-
-
-def _settled_gain(trial: Trial) -> Array:
-    """The same for an observer with injections, which take part in it: stepped for twelve of its slowest time constants."""
-    o, plant = trial.design.observer, trial.plant
-    steps = 4000
-    h = 12.0 / float(np.abs(o.poles.real).min()) / steps
-    estimator, t = trial.design.estimator(h, hold="left"), h * np.arange(steps)
-    u, gain = np.tile(o.u0, (steps, 1)), np.empty((o.F.shape[1],) * 2)
-    for k, fault in enumerate(plant.faults):
-        y = np.tile(o.y0 + fault.size * o.F[:, k], (steps, 1))
-        gain[:, k] = estimator.replay(t, u, y).fault[-1] / fault.size
-    return gain
 
 
 # ---------------------------------------------------------------- at run time

@@ -9,19 +9,29 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from faultrecon.lmi.expr import Expr, I, __, given, let, sym, unknown
 from faultrecon.methods.base import Identity
-from faultrecon.numerics.sliding import Canonical, canonical
+from faultrecon.numerics.pencil import unobservable_modes
+from faultrecon.numerics.sliding import Canonical, canonical, minimal_gamma0, peak_injection
 from faultrecon.plant.plant import Plant
 
 Array = NDArray[np.float64]
 
 ROUNDING = 2.0**-40
 """T_c T_c⁻¹ = I and S C_a T_c⁻¹ = [0 I] hold exactly where sensors read single states, else to rounding far below this."""
+
+
+LEAST_P = 0.01
+"""Default of p_min in P >= p_min I: without it the optimum is approached by P that lose rank and gains without bound."""
+TRUST = 10.0
+"""Default γ₀ of the linear part, in units of the time in which a fault grows to its size: the paper's."""
+SURE = 2.0
+"""The injection's bound over what the sliding motion needs at most: the rest is for the way to the sliding surface."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -183,3 +193,27 @@ def no_direct(m: AugmentedLetters, exact: bool) -> list[Identity]:
         return []
     faulty = given("[0; I]", np.eye(m.p, m.q, -(m.p - m.q)))
     return [Identity("L2 = 0: the rate of the fault does not enter", m.L @ faulty)]
+
+
+def suggested_bound(plant: Plant, L: Array) -> float:
+    """ρ in declared units per second: twice the largest equivalent injection that faults of the declared rate ask for."""
+    rates = np.array([f.rate / f.size if np.isfinite(f.rate) else 1.0 / growth_time(plant) for f in plant.faults])
+    return SURE * peak_injection(coordinates(plant).form, L).value * float(np.linalg.norm(rates))
+
+
+def held_fixed(plant: Plant) -> dict[str, Any]:
+    """What is chosen before the program: the trust in the model and the sensors, p_min, and (47)."""
+    own, τ = coordinates(plant), growth_time(plant)
+    noise = own.form.S * own.ranges[:, None].T * τ  # S in declared ranges, times d = τ
+    least = minimal_gamma0(own.form, noise @ noise.T)
+    return {"γ₀": max(TRUST * τ, 0.5 * TRUST * least), "w_y": 1.0 / τ**2, "p_min": LEAST_P, "ΔY": 0.0}
+
+
+def decay_rate(plant: Plant) -> float:
+    """A decay rate for the sliding motion that every plant allows: slower than what is fixed, a quarter of its slowest."""
+    own = coordinates(plant)
+    fixed = [-mode.value.real for mode in unobservable_modes(own.form.A11, own.form.A211)]
+    rates = np.abs(np.linalg.eigvals(plant.A))
+    rates = rates[rates > 1e-9 * rates.max(initial=0.0)]
+    slowest = 0.25 * float(rates.min()) if rates.size else 0.25 / own.pace
+    return min([slowest, *(0.5 * rate for rate in fixed)])

@@ -36,18 +36,17 @@ from faultrecon.methods.sliding_letters import (
     AugmentedLetters,
     augmented_letters,
     coordinates,
-    growth_time,
+    decay_rate,
+    held_fixed,
     multiplier,
     no_direct,
     shipped,
+    suggested_bound,
 )
 from faultrecon.numerics.hinf import hinf_norm
-from faultrecon.numerics.pencil import unobservable_modes
 from faultrecon.numerics.sliding import (
     high_frequency_gain,
     linear_gain,
-    minimal_gamma0,
-    peak_injection,
     reduced_riccati,
     sliding_motion,
     smallest_level,
@@ -56,18 +55,11 @@ from faultrecon.plant.plant import Plant
 
 Array = NDArray[np.float64]
 
-LEAST_P = 0.01
-"""Default of p_min in P >= p_min I: without it the optimum is approached by P that lose rank and gains without bound."""
-TRUST = 10.0
-"""Default γ₀ of the linear part, in units of the time in which a fault grows to its size: the paper's."""
 FICTITIOUS = (0.1, 0.01)
 """Noises that make the reduced Riccati equation regular: of the healthy outputs, and of the states."""
 LEEWAY = 1e-3
 """How far below the level its gains are computed, so that multipliers prove it strictly."""
-OUTPUTS_FASTER = 3.0
-"""How much faster than the sliding motion the errors of the outputs decay by the linear part alone."""
-SURE = 2.0
-"""The injection's bound over what the sliding motion needs at most: the rest is for the way to the sliding surface."""
+OUTPUTS_FASTER = 3.0  # times the sliding motion: how the errors of the outputs decay by the linear part alone
 
 
 class SlidingMode(Method):
@@ -140,7 +132,7 @@ class SlidingMode(Method):
             lyapunov=P, drift=m.U*(P@m.A - Y@m.C), readout=m.E, noise=m.U*Y@m.noise,
             identities=[*m.identities(), *no_direct(m, exact)],
             claim=self._claim(plant, exact), scope=_scope(plant),
-            fixed=_fixed(plant) | ({"decay": _decay(plant)} if exact else {}), bases=m.bases,
+            fixed=held_fixed(plant) | ({"decay": decay_rate(plant)} if exact else {}), bases=m.bases,
         )
 
     def theorem_46(self, plant: Plant) -> Theorem:
@@ -155,7 +147,7 @@ class SlidingMode(Method):
         X11    = let("X11", (m.J1.T@P)@m.A@m.J1 + m.J1.T@m.A.T@(m.J1.T@P).T)
         linear, gains, back, Y = self._linear_part(m, P, P12, P11, (γ0, γ), True)
         decay  = X11 + 2*m.Ui*unknown("decay")*(m.J1.T@P@m.J1) < 0
-        fixed  = _fixed(plant) | {"decay": _decay(plant)}
+        fixed  = held_fixed(plant) | {"decay": decay_rate(plant)}
         return Theorem(
             "46",
             [linear, decay.tagged("decay"), (P - unknown("p_min")*I(m.N) > 0).tagged("P > p_min I")],
@@ -250,12 +242,6 @@ def _listed(values: NDArray[Any]) -> str:
     return ", ".join(f"{s.real:.4g}" + (f" ± {s.imag:.4g}j" if s.imag else "") for s in upper)
 
 
-def suggested_bound(plant: Plant, L: Array) -> float:
-    """ρ in declared units per second: twice the largest equivalent injection that faults of the declared rate ask for."""
-    rates = np.array([f.rate / f.size if np.isfinite(f.rate) else 1.0 / growth_time(plant) for f in plant.faults])
-    return SURE * peak_injection(coordinates(plant).form, L).value * float(np.linalg.norm(rates))
-
-
 class SlidingModeExact(SlidingMode):
     """The special case L2 = 0, refused where the healthy sensors miss a mode: the printed minimum-phase design."""
 
@@ -332,20 +318,19 @@ class SlidingModeRiccati(SlidingMode):
     def closed_form(self, plant: Plant) -> ClosedForm:
         """The reduced Riccati equation with fictitious noises small enough to cost less than a part in a thousand."""
         own = coordinates(plant)
-        size = float(np.linalg.norm(own.form.A11, 2)) or 1.0
+        noises = FICTITIOUS[0], FICTITIOUS[1] * np.sqrt(float(np.linalg.norm(own.form.A11, 2)) or 1.0)
 
         def at(level: float) -> dict[str, Array] | None:
-            L = reduced_riccati(own.form, level / (1.0 + LEEWAY), FICTITIOUS[0], FICTITIOUS[1] * np.sqrt(size))
+            L = reduced_riccati(own.form, level / (1.0 + LEEWAY), *noises)
             if L is None:
                 return None
-            poles = np.linalg.eigvals(own.form.A11 + L @ own.form.A21)
-            p, fastest = own.form.p, float(np.abs(poles).max())
+            p, n1 = own.form.p, own.form.n1
+            fastest = float(np.abs(np.linalg.eigvals(own.form.A11 + L @ own.form.A21)).max())
             Y = own.pace * linear_gain(own.form, L, -OUTPUTS_FASTER * fastest * np.eye(p))
-            n1 = own.form.n1
             P = np.block([[np.eye(n1), L], [L.T, np.eye(p) + L.T @ L]])
             return {"P11": np.eye(n1), "P12": L, "P22": P[n1:, n1:], "ΔY": P @ Y, "γ_U": np.array([[level / own.pace]])}
 
-        least = smallest_level(own.form, FICTITIOUS[0], FICTITIOUS[1] * np.sqrt(size)) * (1.0 + LEEWAY)
+        least = smallest_level(own.form, *noises) * (1.0 + LEEWAY)
         return ClosedForm(least, at, "Riccati equation of the hidden motion")
 
 
@@ -362,24 +347,6 @@ class SlidingModePrinted(SlidingMode):
         if not plant.attenuated:
             return super()._claim(plant, exact)
         return "while it slides, ∫|f̂ - f|² dt ≤ γ² ∫|f'|² dt + V(e1(0)) when ψ = 0; nothing for ψ ≠ 0, which (54) as printed omits"
-
-
-def _fixed(plant: Plant) -> dict[str, Any]:
-    """What is chosen before the program: the trust in the model and the sensors, p_min, and (47)."""
-    own, τ = coordinates(plant), growth_time(plant)
-    noise = own.form.S * own.ranges[:, None].T * τ  # S in declared ranges, times d = τ
-    least = minimal_gamma0(own.form, noise @ noise.T)
-    return {"γ₀": max(TRUST * τ, 0.5 * TRUST * least), "w_y": 1.0 / τ**2, "p_min": LEAST_P, "ΔY": 0.0}
-
-
-def _decay(plant: Plant) -> float:
-    """A decay rate for the sliding motion that every plant allows: slower than what is fixed, a quarter of its slowest."""
-    own = coordinates(plant)
-    fixed = [-mode.value.real for mode in unobservable_modes(own.form.A11, own.form.A211)]
-    rates = np.abs(np.linalg.eigvals(plant.A))
-    rates = rates[rates > 1e-9 * rates.max(initial=0.0)]
-    slowest = 0.25 * float(rates.min()) if rates.size else 0.25 / own.pace
-    return min([slowest, *(0.5 * rate for rate in fixed)])
 
 
 def _scope(plant: Plant) -> str:
