@@ -14,14 +14,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from faultrecon.finding import Finding, Impossible, Inconclusive, InputError
-from faultrecon.lmi.solve import Outcome
+from faultrecon.lmi.solve import Outcome, solve
 from faultrecon.methods.base import ClosedForm, Method, Unproved
 from faultrecon.methods.registry import method as method_named
 from faultrecon.numerics.level import LevelSolution
 from faultrecon.plant.plant import Plant
 from faultrecon.synthesis import riccati_route
 from faultrecon.synthesis.ladder import Central, climb, pick
-from faultrecon.synthesis.levels import Posed, pose
+from faultrecon.synthesis.levels import INSIDE, Posed, pose
 from faultrecon.synthesis.refusals import below_floor, below_method, no_answer, no_proof, no_solution
 from faultrecon.synthesis.report import describe
 from faultrecon.synthesis.result import Design
@@ -33,8 +33,6 @@ STEP_SHARE = 2.0
 """Default pole bound times sample time, inside the 2.785 at which classical Runge-Kutta turns unstable."""
 OWN_SHARE = 10.0
 """Default pole bound over the plant's fastest mode where no sample time is known: an observer need not be faster."""
-ASTRAY = 1.01
-"""Ratio of the two routes beyond which it is not the solver that errs."""
 LARGEST_LEVEL = 1e60
 """Its square, in any units the program may choose, is still a float."""
 AGREEMENT = 1e-4
@@ -230,8 +228,10 @@ def _checked_optimum(posed: Posed, by_riccati: LevelSolution | None) -> tuple[fl
     if abs(by_solver - by_riccati.gamma) <= AGREEMENT * by_riccati.gamma:
         return by_riccati.gamma, ()
     note = f"two routes to the optimum disagree: {by_riccati.gamma:.9g} (Riccati) and {by_solver:.9g} (solver)"
-    # The solver may stop a little below the optimum; far below it nothing is feasible, so there the other one is lost.
-    return (by_solver if by_riccati.gamma > ASTRAY * by_solver else by_riccati.gamma), (note,)
+    # A point strictly inside between the two refutes the other route's bound; without one the solver stopped too low.
+    between = posed.at_level(math.sqrt(by_solver * by_riccati.gamma))
+    refuted = by_solver < by_riccati.gamma and solve(between, margin=INSIDE).solved
+    return (by_solver if refuted else by_riccati.gamma), (note,)
 
 
 def _level(outcome: Outcome, posed: Posed) -> float:
