@@ -13,3 +13,11 @@ KHOSROWJERDI_2011 = Paper(
     "Mathematical Problems in Engineering 2011, 146038",
     "10.1155/2011/146038",
 )
+
+HUANG_2024 = Paper(
+    "huang2024",
+    "Huang, J., Gao, Z. and Liu, Y.",
+    2024,
+    "Sensor fault reconstruction using adaptive unknown-input observers",
+    "Sensors 24, 3224",
+)
