@@ -25,7 +25,13 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from faultrecon.diagnosis.decoupling import invariant_zero_notes, partition, unknown_input_findings
+from faultrecon.diagnosis.conditions import living_in
+from faultrecon.diagnosis.decoupling import (
+    invariant_zero_notes,
+    partition,
+    unknown_input_findings,
+    unknown_input_gain,
+)
 from faultrecon.diagnosis.limits import Floor, hidden_floor
 from faultrecon.finding import Finding
 from faultrecon.graph.observer import Observer
@@ -41,6 +47,8 @@ from faultrecon.methods.errors_uio import (
     unknown_input_observer,
 )
 from faultrecon.methods.papers import HUANG_2024
+from faultrecon.numerics.annihilator import annihilator
+from faultrecon.numerics.pencil import undetectable_modes
 from faultrecon.numerics.scaling import spectral_norm
 from faultrecon.plant.plant import Plant
 
@@ -66,8 +74,13 @@ class AdaptiveUio(Method):
     noise_counts: ClassVar[bool] = False
 
     def assumptions(self, plant: Plant) -> list[Finding]:
-        """What is to be decoupled can be, no mode hides behind it, and a constant fault shows at rest."""
-        return unknown_input_findings(plant)
+        """What is to be decoupled can be, no mode hides behind it or behind the faults, a constant fault shows at rest."""
+        found = unknown_input_findings(plant)
+        return found if any(f.severity == "fatal" for f in found) else self.seen(plant) + found
+
+    def seen(self, plant: Plant) -> list[Finding]:
+        """Modes of J A that the healthy outputs miss: necessary for V = diag(P, Γ⁻¹), though not for an observer."""
+        return unseen_findings(plant)
 
     # fmt: off
     def theorem(self, plant: Plant, scaling: Scaling) -> Theorem:
@@ -188,6 +201,10 @@ class AdaptiveUioFull(AdaptiveUio):
         )
     # fmt: on
 
+    def seen(self, plant: Plant) -> list[Finding]:
+        """Nothing more: V couples both errors."""
+        return []
+
     def held(self, plant: Plant) -> dict[str, Any]:
         """The weight of the state error and the bound on the poles; Γ⁻¹ is no unknown here."""
         return {k: v for k, v in super().held(plant).items() if k != "W"}
@@ -218,6 +235,29 @@ class AdaptiveUioNoise(AdaptiveUio):
     summary = "adaptive-uio with the declared sensor noise counted in the level"
     variant_of = "adaptive-uio"
     noise_counts = True
+
+
+def unseen_findings(plant: Plant) -> list[Finding]:
+    """Where C x + D f = 0 nothing is corrected, so x' P J A x < 0 has to hold there, for every x with N C x = 0.
+
+    A mode J A x = s x among them with Re s >= 0 forbids it.  The paper does not say so.
+    """
+    J = np.eye(plant.n) - unknown_input_gain(plant) @ plant.C
+    modes = undetectable_modes(J @ plant.A, annihilator(plant.F_f) @ plant.C)
+    if not modes:
+        return []
+    s, states = modes[0].value, living_in(plant, modes[0].direction)
+    at = f"{s.real:.4g}" + (f" ± {abs(s.imag):.4g}j" if s.imag else "")
+    return [
+        Finding(
+            f"the healthy sensors do not see the mode at s = {at}, which does not decay",
+            why="no matrix diag(P, Γ⁻¹) shows that its error decays, since a fault can hide it at every instant",
+            evidence={"mode": [s.real, s.imag], "states": list(states)},
+            remedies=("use adaptive-uio-full, whose Lyapunov matrix couples state and fault",)
+            + ((f"add a healthy sensor that reads {states[0]}",) if states else ()),
+            see="Huang 2024, section 3, with x' P T A x < 0 wherever C x + D f = 0",
+        )
+    ]
 
 
 def within_reach(drift: Expr, lyapunov: Expr) -> Inequality:
