@@ -15,7 +15,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from faultrecon.graph.function import Graph
-from faultrecon.graph.observer import CopiedTerm, NonlinearTerm, Observer
+from faultrecon.graph.observer import CopiedTerm, Injection, NonlinearTerm, Observer
 from faultrecon.runtime import kernel
 from faultrecon.runtime.estimator import Estimator
 from faultrecon.runtime.stepping import Prediction
@@ -40,12 +40,14 @@ def nothing_on_disk():
 
 
 def observer(kind):
-    """'linear'; 'polynomial', which needs arithmetic alone; 'transcendental'."""
+    """'linear'; 'polynomial', which needs arithmetic alone; 'transcendental'; 'sliding' and 'sliding polynomial'."""
     linear = Observer(
         A, np.hstack([B, K]), np.eye(3), np.zeros((3, 3)), -C, np.hstack([np.zeros((2, 1)), np.eye(2)]), np.eye(2),
         X0, U0, Y0,
     )  # fmt: skip
-    if kind == "linear":
+    if kind.startswith("sliding"):
+        linear = replace(linear, injections=injections())
+    if kind in ("linear", "sliding"):
         return linear
     sine, cosine = (ca.sin, ca.cos) if kind == "transcendental" else (lambda x: x - x**3 / 6, lambda x: 1 - 0.5 * x**2)
     phi = Graph.trace(lambda x, u, t: sine(x) * (1 + 0.2 * cosine(0.1 * t)) + 0.1 * u * x, {"x": 1, "u": 1, "t": 1})
@@ -54,6 +56,14 @@ def observer(kind):
     term = NonlinearTerm(into, reads, np.array([0.4]), np.array([-2.0]), np.array([2.0]), phi)
     copied = CopiedTerm(np.array([[0.0], [0.0], [0.6]]), g)
     return replace(linear, nonlinear=term, copied=copied)
+
+
+def injections():
+    """Three in a row: K is the linear part of the first; the others are smooth, and read what the first has moved."""
+    into, direct = np.array([[1.0, 0.0], [0.0, 1.0], [0.2, -0.3]]), np.hstack([np.zeros((2, 1)), -np.eye(2)])
+    first = Injection(K, into, C, direct, np.array([[2.0, 0.3], [0.3, 1.0]]), 1.5)
+    third = Injection(0 * into[:, :1], into[:, :1], C[:1], direct[:1], np.array([[0.5]]), 0.4, layer=0.02)
+    return first, replace(first, linear=0 * K, weight=np.diag([1.0, 9.0]), bound=0.7, layer=0.03), third
 
 
 def pair(kind, hold, scheme):
@@ -90,6 +100,9 @@ CASES = [
     ("polynomial", "left", "rk4"),
     ("transcendental", "linear", "zoh"),
     ("transcendental", "left", "rk4"),
+    ("sliding", "linear", "implicit"),
+    ("sliding polynomial", "left", "implicit"),
+    ("sliding polynomial", "midpoint", "explicit"),
 ]
 
 
@@ -129,7 +142,9 @@ def test_compiled_a_log_is_its_samples_one_by_one_to_the_last_bit(engines, seed,
 
 @pytest.mark.parametrize(
     ("kind", "hold", "scheme"),
-    [("polynomial", *pair) for pair in itertools.product(HOLDS, SCHEMES)] + [("linear", "linear", "zoh")],
+    [("polynomial", *pair) for pair in itertools.product(HOLDS, SCHEMES)]
+    + [("linear", "linear", "zoh"), ("sliding", "left", "implicit"), ("sliding polynomial", "linear", "implicit")]
+    + [("sliding", "linear", "explicit"), ("sliding polynomial", "midpoint", "explicit")],
 )
 def test_loops_over_matrices_add_up_in_the_order_of_the_straight_line(kind, hold, scheme, monkeypatch):
     monkeypatch.setattr(kernel, "UNROLLED", 0)

@@ -20,7 +20,7 @@ from faultrecon.methods.registry import all_methods, list_methods
 from faultrecon.plant.lipschitz import KnownTerm
 from faultrecon.testing import Trial, all_checks, check_method, trial_plants
 
-SPRING, PENDULUM = trial_plants()
+SPRING, PENDULUM, *_ = trial_plants()
 CHECKS = {check.__name__: check for check in all_checks()}
 
 

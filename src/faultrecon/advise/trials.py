@@ -26,6 +26,9 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
+SETTLING = 4000
+"""Steps in which an observer with injections settles on a constant fault."""
+
 
 @dataclass(frozen=True, eq=False)
 class Trial:
@@ -69,6 +72,28 @@ class Trial:
             return self.design.estimator(self.sample_time)
 
     @cached_property
+    def constant_gain(self) -> Array:
+        """From constant faults to their estimates once the observer has settled, (q, q), in declared sizes.
+
+        Off the matrices of a linear part that decides it; an injection takes part in it, so the observer is then
+        stepped for twelve of its slowest time constants.
+        """
+        o, plant = self.design.observer, self.plant
+        size = np.array([f.size for f in plant.faults])
+        if not o.injections:
+            rest = np.eye(len(o.A)) - o.A if plant.sample_time is not None else -o.A
+            gain = o.Cf @ np.linalg.solve(rest, o.B[:, o.inputs :] @ o.F) + o.Df[:, o.inputs :] @ o.F
+            return gain * size / size[:, None]
+        h = 12.0 / float(np.abs(np.real(o.poles)).min()) / SETTLING
+        with offered(self.method):
+            estimator = self.design.estimator(h, hold="left")
+        t, u, gain = h * np.arange(SETTLING), np.tile(o.u0, (SETTLING, 1)), np.empty((len(size), len(size)))
+        for k, fault in enumerate(size):
+            y = np.tile(o.y0 + fault * o.F[:, k], (SETTLING, 1))
+            gain[:, k] = estimator.replay(t, u, y).fault[-1] / size
+        return gain
+
+    @cached_property
     def log(self) -> tuple[Array, Array, Array]:
         """Forty samples of no particular meaning, the same every time: t (N,), u (N, m), y (N, p)."""
         rng, N, point = np.random.default_rng(2011), 40, self.plant.point
@@ -81,7 +106,11 @@ class Trial:
 
 
 def trial_plants() -> tuple[Plant, ...]:
-    """Two small plants with additive sensor faults: a linear one; a Lipschitz one about a point with D and noise."""
+    """Small plants with additive sensor faults, so that every kind of method finds one it can do.
+
+    spring: linear, with a redundant sensor; pendulum: Lipschitz, about a point, with D and noise; cart: as many sensors
+    as states; balance: unstable in a mode that only the faulty sensor sees.
+    """
     spring = plant_from_matrices(
         [[0, 1], [-10, -1]],
         [[0], [1]],
@@ -97,8 +126,13 @@ def trial_plants() -> tuple[Plant, ...]:
             Disturbance("hum", {}, {"position_a": 0.1, "speed": 0.1}),
         ],
     )
+    return spring, _pendulum(spring), _cart(spring), _balance()
+
+
+def _pendulum(spring: Plant) -> Plant:
+    """Lipschitz, about a point, with D and noise."""
     signals = Signals(spring.signals.x, spring.signals.u, Channels.declared(["position_a [m]", "position_b [m]"]))
-    pendulum = replace(
+    return replace(
         spring,
         name="pendulum",
         signals=signals,
@@ -115,7 +149,35 @@ def trial_plants() -> tuple[Plant, ...]:
         noise=Noise(0.02, (1e-3, 2e-3)),
         operating_point=OperatingPoint((0.1, 0.0), (1.0,), (0.1, 0.6)),
     )
-    return spring, pendulum
+
+
+def _cart(spring: Plant) -> Plant:
+    """As many sensors as states, and nothing that disturbs."""
+    return replace(
+        spring,
+        name="cart",
+        signals=Signals(spring.signals.x, spring.signals.u, Channels.declared(["position_b [m]", "speed [m/s]"])),
+        C=np.array([[1.0, 0.0], [0.0, 1.0]]),
+        D=np.zeros((2, 1)),
+        disturbances=(),
+        operating_point=None,
+    )
+
+
+def _balance() -> Plant:
+    """Unstable in a mode that only the faulty sensor sees."""
+    return plant_from_matrices(
+        [[0, 1, 0], [4, -1, 0], [0, 0, -1]],
+        [[0], [1], [1]],
+        [[0, 1, 0], [0, 0, 1]],
+        np.zeros((2, 1)),
+        name="balance",
+        states=["angle [rad]", "rate [rad/s]", "speed [m/s]"],
+        inputs=["torque [N m]"],
+        outputs=["gyro [rad/s]", "tacho [m/s]"],
+        faults=[FaultChannel("drift", {"gyro": 1.0}, size=0.5)],
+        disturbances=[Disturbance("hum", {}, {"tacho": 0.1})],
+    )
 
 
 def awkward(plant: Plant) -> dict[str, Plant]:

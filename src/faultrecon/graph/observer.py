@@ -44,7 +44,8 @@ class Injection:
         e = reads z + direct v,    ν = -ρ P e / (|P e| + δ),    and any |ν| ≤ ρ at P e = 0 when δ = 0
 
     linear: G_l (nz, k), so that A and B of the observer hold -G_l e already: the implicit step takes it apart again.
-    into: G_n (nz, k).  reads (k, nz), direct (k, m+p).  weight: P (k, k), symmetric and positive definite.
+    into: G_n (nz, k), with reads @ into invertible.  reads (k, nz), direct (k, m+p).
+    weight: P (k, k), symmetric and positive definite.
     bound: ρ > 0 in the unit of e per second.  layer: δ >= 0 in the unit of P e; it smooths the injection.
     """
 
@@ -70,6 +71,7 @@ class Observer:
     """A continuous-time observer with nz states, driven by v = [u - u0; y - y0] of m + p entries.
 
     A (nz, nz), B (nz, m+p), Cx (n, nz), Dx (n, m+p), Cf (q, nz), Df (q, m+p), F (p, q); x0 (n,), u0 (m,), y0 (p,).
+    Sampled, the injections act in the order given: each reads what the ones before it have moved.
     """
 
     A: Array

@@ -149,7 +149,10 @@ def children(node: Expr) -> list[Expr]:
 
 
 def substitute(exprs: Sequence[Expr], by: Mapping[str, Expr]) -> list[Expr]:
-    """`exprs` with unknowns replaced by expressions of their shape, `Z := P L` say; named parts keep their letters."""
+    """`exprs` with unknowns replaced by expressions of their shape, `Z := P L` say; named parts keep their letters.
+
+    What contains none of them comes back as the same node, so that a substitute may speak of it too.
+    """
     memo: dict[int, tuple[Expr, Expr]] = {}
 
     def go(node: Expr) -> Expr:
@@ -164,7 +167,10 @@ def substitute(exprs: Sequence[Expr], by: Mapping[str, Expr]) -> list[Expr]:
                 raise ShapeError(f"{node.name} is {node.shape}, its substitute {new} is {new.shape}")
             return new
         if node.op == "block":
-            return Expr("block", (tuple(tuple(go(b) for b in row) for row in node.args[0]),), node.shape)
-        return Expr(node.op, tuple(go(a) if isinstance(a, Expr) else a for a in node.args), node.shape)
+            rows = tuple(tuple(go(b) for b in row) for row in node.args[0])
+            same = all(a is b for old, new in zip(node.args[0], rows, strict=True) for a, b in zip(old, new, strict=True))
+            return node if same else Expr("block", (rows,), node.shape)
+        args = tuple(go(a) if isinstance(a, Expr) else a for a in node.args)
+        return node if all(a is b for a, b in zip(args, node.args, strict=True)) else Expr(node.op, args, node.shape)
 
     return [go(expr) for expr in exprs]

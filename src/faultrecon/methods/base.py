@@ -8,7 +8,7 @@ else (solving, backing off, rounding, proving, running, documenting) reads from 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, ClassVar, Literal
 
@@ -196,10 +196,22 @@ def lipschitz_scope(plant: Plant) -> str:
     return text + "; does not cover sampling, rounding at run time, or a plant that differs from the model"
 
 
+@dataclass(frozen=True)
+class ClosedForm:
+    """Gains without a semidefinite program: the smallest level of that route, and the program's unknowns at a level.
+
+    at: from a level to values by letter of which `Theorem.gains` makes the gains; None where it finds none there.
+    """
+
+    optimum: float
+    at: Callable[[float], Mapping[str, NDArray[np.float64]] | None]
+    name: str
+
+
 class Method(ABC):
     """A published method.  Subclasses are found by scanning `faultrecon.methods` and the entry-point group.
 
-    criterion: how gains that need no theorem are picked, in words.
+    backoff: how far above its optimum a design stays unless told otherwise.  criterion: how gains that need no theorem are picked, in words.
     """
 
     name: ClassVar[str]
@@ -207,6 +219,7 @@ class Method(ABC):
     paper: ClassVar[Paper]
     baseline: ClassVar[bool] = False
     variant_of: ClassVar[str | None] = None
+    backoff: ClassVar[float] = 0.05
     criterion: ClassVar[str] = "none: there is nothing to choose"
     reproductions: ClassVar[Sequence[Reproduction]] = ()
 
@@ -221,6 +234,10 @@ class Method(ABC):
     @abstractmethod
     def observer(self, plant: Plant, gains: Mapping[str, NDArray[np.float64]]) -> Observer:
         """The executable equations with these gains."""
+
+    def closed_form(self, plant: Plant) -> ClosedForm | None:
+        """Another route to the gains than the program, which then is asked for the multipliers of the proof alone."""
+        return None
 
     def floor(self, plant: Plant) -> Floor | None:
         """What no estimator beats, in the terms of this method's level; None where none is known."""

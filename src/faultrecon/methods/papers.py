@@ -14,6 +14,32 @@ KHOSROWJERDI_2011 = Paper(
     "10.1155/2011/146038",
 )
 
+ALWI_2009 = Paper(
+    "alwi2009",
+    "Alwi, H.; Edwards, C.; Tan, C. P.",
+    2009,
+    "Sliding mode estimation schemes for incipient sensor faults",
+    "Automatica 45, 1679-1685",
+    "10.1016/j.automatica.2009.02.031",
+)
+
+TAN_2003 = Paper(
+    "tan2003",
+    "Tan, C. P.; Edwards, C.",
+    2003,
+    "Sliding mode observers for robust detection and reconstruction of actuator and sensor faults",
+    "International Journal of Robust and Nonlinear Control 13(5), 443-463",
+    "10.1002/rnc.723",
+)
+
+TAN_2002 = Paper(
+    "tan2002",
+    "Tan, C. P.; Edwards, C.",
+    2002,
+    "Sliding mode observers for detection and reconstruction of sensor faults",
+    "Automatica 38(10), 1815-1821",
+    "10.1016/S0005-1098(02)00098-5",
+
 HUANG_2024 = Paper(
     "huang2024",
     "Huang, J., Gao, Z. and Liu, Y.",

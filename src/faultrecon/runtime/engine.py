@@ -25,6 +25,7 @@ IMPORT = 0.2  # s, importing Numba
 COMPILE = 0.8, 1.5e-3  # s, and s per line of the program, of which a small observer has some 200
 FETCH = 0.1  # s, machine code from disk, for the first time in a process
 PER_SAMPLE = 0.6e-6, 3e-9  # s per sample of a log on CasADi, and s per entry of the observer's matrices
+PER_ROUND = 5  # what an entry of an injection costs in each of its five or more rounds, in entries of a matrix
 SHORT_LOG = 20_000  # rows below which the question is not worth asking: 20 ms
 
 
@@ -97,6 +98,7 @@ class Chosen:
         """Seconds saved by using Numba for this log."""
         o = general.observer
         entries = 4 * (o.A.size + o.B.size) + o.Cx.size + o.Cf.size
+        entries += sum(PER_ROUND * len(one.reads) * 5 for one in o.injections)
         saved = rows * (PER_SAMPLE[0] + PER_SAMPLE[1] * entries)
         found = where(source)
         if found == "memory":

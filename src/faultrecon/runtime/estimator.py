@@ -9,9 +9,11 @@ What happens to imperfect samples is part of the contract:
 - NaN or inf in a measurement: the observer's own prediction takes its place, so that it drives neither the state nor
   the other faults; `ok` is False there; a fault whose estimate reads that channel directly is NaN in that row, and the
   corrected value is the prediction.  Without a `Prediction` the last value stays and the corrected value is NaN.
+  Injections find no innovation in that channel: it reads what the observer predicts before they act.
 - NaN or inf in an input: the last known input stays, and `ok` is False for the whole row.
 - An interval that is not the sample time (by more than one millionth) is integrated over its own length, in parts no
-  longer than the sample time; for zoh, lengths are told apart to one millionth of the sample time.
+  longer than the sample time; for all but rk4, lengths are told apart to one millionth of the sample time.
+  Implicit injections act once, at the new sample, for the whole interval.
 - A wrong shape, or time that does not increase, raises InputError.
 
 Two engines share the work, see `runtime.engine`: which one is reported, and the rules are the same.
@@ -20,7 +22,7 @@ Two engines share the work, see `runtime.engine`: which one is reported, and the
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
@@ -33,6 +35,7 @@ from faultrecon.finding import InputError
 from faultrecon.graph.observer import Observer
 from faultrecon.runtime.engine import Chosen, Engine, EngineName
 from faultrecon.runtime.general import General, stability_limit
+from faultrecon.runtime.injecting import check, overridden
 from faultrecon.runtime.samples import (
     Array,
     Buffers,
@@ -56,7 +59,7 @@ BLOCK = 65_536  # rows between two reports of progress: 5 ms of compiled work
 class Estimator:
     """An observer made executable for one sample time: pure `init` and `step`, and `replay` for a whole log.
 
-    Use `Estimator.build`.  scheme is what was chosen, "zoh" or "rk4"; hold says how samples are read in between:
+    Use `Estimator.build`.  scheme is what was chosen, never "auto"; hold says how samples are read in between:
     "left" (the older one stays), "midpoint" (their mean) or "linear" (a straight line).
     """
 
@@ -85,25 +88,35 @@ class Estimator:
         scheme: Scheme = "auto",
         prediction: Prediction | None = None,
         engine: EngineName = "auto",
+        bound: float | Sequence[float] | None = None,
+        layer: float | Sequence[float] | None = None,
     ) -> Estimator:
         """The estimator for samples every `sample_time` seconds.
 
         auto: exact exponentials for a linear observer; for a nonlinear one RK4 where its step is a third of the
-        stability limit or less, else exponentials.  prediction: the plant's C and D, for missing channels.
+        stability limit or less, else exponentials; for one with injections the implicit scheme, which does not chatter
+        ("explicit" does; it is for comparison).  prediction: the plant's C and D, for missing channels.
         engine: "auto" compiles when a log is long enough to repay it, "casadi" never, "numba" now.
+        bound, layer: ρ and δ of the injections in place of the observer's own, one number for all or one for each; ρ
+        is a noise tuning knob: no larger than the fault needs, since it is what noise can move the state by per second.
         Raises InputError, before anything runs, when RK4 is asked for beyond its stability limit.
         """
         if not (isinstance(sample_time, int | float) and math.isfinite(sample_time) and sample_time > 0):
             raise InputError(f"the sample time is {sample_time}", why="it is a positive number of seconds")
         if hold not in ("left", "midpoint", "linear"):
             raise InputError(f"'{hold}' is no hold", remedies=("use left, midpoint or linear",))
-        if scheme not in ("auto", "zoh", "rk4"):
-            raise InputError(f"'{scheme}' is no integration scheme", remedies=("use auto, zoh or rk4",))
+        if scheme not in ("auto", "zoh", "rk4", "implicit", "explicit"):
+            raise InputError(
+                f"'{scheme}' is no integration scheme", remedies=("use auto, zoh, rk4, implicit or explicit",)
+            )
         if engine not in ("auto", "casadi", "numba"):
             raise InputError(f"'{engine}' is no engine", remedies=("use auto, casadi or numba",))
         _check_sizes(observer, prediction)
+        observer = overridden(observer, bound, layer)
+        check(observer, sample_time)
         if scheme == "auto":
-            scheme = "rk4" if not observer.linear and sample_time <= COMFORT * rk4_limit(observer) else "zoh"
+            scheme = _best_scheme(observer, sample_time)
+        _demand_scheme_for(observer, scheme)
         if scheme == "rk4":
             _demand_stable_rk4(observer, sample_time)
         return Estimator(observer, float(sample_time), hold, scheme, prediction, engine)
@@ -113,7 +126,7 @@ class Estimator:
 
     def __repr__(self) -> str:
         o = self.observer
-        kind = "linear" if o.linear else "nonlinear"
+        kind = "linear" if o.linear else "with injections" if o.injections else "nonlinear"
         return (
             f"Estimator({kind}, {o.A.shape[0]} states, {len(o.y0)} sensors, {o.F.shape[1]} faults; "
             f"every {self.sample_time:g} s, hold {self.hold}, scheme {self.scheme}, engine {self.engine})"
@@ -267,6 +280,27 @@ class Estimator:
 def rk4_limit(observer: Observer) -> float:
     """The largest stable RK4 step for the linear part of an observer, s; inf when nothing decays."""
     return stability_limit(observer.A)
+
+
+def _best_scheme(observer: Observer, sample_time: float) -> Scheme:
+    if observer.injections:
+        return "implicit"
+    return "rk4" if not observer.linear and sample_time <= COMFORT * rk4_limit(observer) else "zoh"
+
+
+def _demand_scheme_for(observer: Observer, scheme: Scheme) -> None:
+    if observer.injections and scheme in ("zoh", "rk4"):
+        raise InputError(
+            f"'{scheme}' cannot step an observer with discontinuous injections",
+            why="it takes the slope for smooth; where the injection switches it chatters or stalls",
+            remedies=("use scheme='implicit', which does neither", "or 'explicit', to see it chatter"),
+        )
+    if not observer.injections and scheme in ("implicit", "explicit"):
+        raise InputError(
+            f"'{scheme}' is for observers with discontinuous injections",
+            why="this one has none",
+            remedies=("use scheme='auto', 'zoh' or 'rk4'",),
+        )
 
 
 def _demand_stable_rk4(observer: Observer, sample_time: float) -> None:

@@ -139,6 +139,8 @@ class General:
                 expected = self.prediction.C @ deviation + self.prediction.D @ v[:m]
                 v[m:][missing] = expected[missing]
             z = np.asarray(np.linalg.lstsq(o.Cx, deviation - o.Dx @ v, rcond=None)[0], dtype=float)
+            if o.injections and (self.prediction is not None or not missing.any()):
+                z = _on_the_surface(o, z, v)
         filled = call(self.stepper(missing, missing).fill, [z, state.v, v], len(v))
         return np.concatenate((z, filled))
 
@@ -148,8 +150,8 @@ class General:
         h = t - t0
         if self.is_regular(h, t):
             return stepper.advance(s, t0, v)
-        parts = substeps(h, self.sample_time) if not self.observer.linear or stepper.scheme == "rk4" else 1
-        return stepper.advance_by(s, t0, h, v, [self._pack(stepper, h / parts)] * parts)
+        parts = substeps(h, self.sample_time) if stepper.N.shape[1] or stepper.scheme == "rk4" else 1
+        return stepper.advance_by(s, t0, h, v, [self._pack(stepper, h / parts)] * parts, self._pack_moves(stepper, h))
 
     def is_regular(self, interval: Any, t: Any) -> Any:
         """Whether an interval is the sample time, up to `REGULAR` and the rounding of the clock itself."""
@@ -176,13 +178,22 @@ class General:
 
     def _pack(self, stepper: Stepper, h: float) -> Array:
         """The matrices of a step of h seconds; they depend on what is filled in while time passes."""
-        if stepper.scheme != "zoh":
+        if stepper.scheme == "rk4":
             return stepper.pack(h)
+        return self._remembered(stepper.during.from_z.tobytes(), h, stepper.pack)
+
+    def _pack_moves(self, stepper: Stepper, h: float) -> Array:
+        """What the implicit injections do over h seconds; the same whatever is missing."""
+        if stepper.scheme != "implicit":
+            return stepper.pack_moves(h)
+        return self._remembered(b"moves", h, stepper.pack_moves)
+
+    def _remembered(self, what: bytes, h: float, pack: Callable[[float], Array]) -> Array:
         grain = REGULAR * self.sample_time
         length = max(1, round(h / grain))
-        key = stepper.during.from_z.tobytes(), length
+        key = what, length
         if key not in self._packed:
-            packed = stepper.pack(length * grain)
+            packed = pack(length * grain)
             if len(self._packed) * packed.size >= REMEMBERED:
                 self._packed.clear()
             self._packed[key] = packed
@@ -237,6 +248,19 @@ class General:
     @cached_property
     def _direct(self) -> Mask:
         return reads_directly(self.observer)
+
+
+def _on_the_surface(observer: Observer, z: Array, v: Array) -> Array:
+    """z with the directions that x̂ does not show, such as those of f̂, so that the injections find as little as can be.
+
+    They would bring it there in any case, but only at the pace of their bound.
+    """
+    _, sizes, directions = np.linalg.svd(observer.Cx)
+    rank = int(np.count_nonzero(sizes > len(z) * np.finfo(float).eps * sizes.max(initial=0.0)))
+    free = directions[rank:].T
+    reads = np.vstack([one.reads for one in observer.injections])
+    found = reads @ z + np.vstack([one.direct for one in observer.injections]) @ v
+    return z - free @ np.linalg.lstsq(reads @ free, found, rcond=None)[0]
 
 
 def stability_limit(A: Array) -> float:

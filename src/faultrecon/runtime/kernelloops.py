@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 
 from faultrecon.graph.extract import instructions
 from faultrecon.graph.source import literal, statements
+from faultrecon.runtime.injecting import HUGE, TINY
 
 if TYPE_CHECKING:
     from faultrecon.runtime.general import General
@@ -72,14 +73,55 @@ ZOH_LINE = """\
 add_times(B1, end, x, term)
 """
 ZOH_MORE = """\
-trial = np.empty({nz})
+trial, stays = np.empty({nz}), np.empty({r})
 nonlinear(z, start, t0, n)
+stays[:] = n
 add_times(N0, n, x, term)
 for i in range({nz}):
     trial[i] = x[i]
 add_times(N1, n, trial, term)
 nonlinear(trial, end, t0 + {h}, n)
+n[{own}:] = stays[{own}:]
 add_times(N1, n, x, term)
+"""
+
+# The rounds of `injecting.unit`, and what comes before and after them.
+UNIT = """\
+@part
+def unit(b, knees, layer, count, x):
+    r = 0.0
+    for i in range(b.shape[0]):
+        most = {huge} * knees[i]
+        b[i] = b[i] if b[i] >= -most else -most
+        b[i] = b[i] if b[i] <= most else most
+    for _ in range(count):
+        f, g = 0.0, 0.0
+        for i in range(b.shape[0]):
+            d = (r + layer) + knees[i]
+            x[i] = b[i] / d
+            q = x[i] * x[i]
+            f, g = f + q, g + q / d
+        size = math.sqrt(f)
+        if layer == 0.0:
+            move = (f * (size - 1.0)) / (g + {tiny})
+            r = r + (move if move >= 0.0 else 0.0)
+        else:
+            a, c = f * (1.0 - size) - g * r, layer * (f * size)
+            root = math.sqrt(a * a + 4.0 * (g * c))
+            new = (2.0 * c) / (a + root + {tiny}) if a > 0.0 else (root - a) / (2.0 * g + {tiny})
+            r = new if new >= r else r
+    for i in range(b.shape[0]):
+        x[i] = b[i] / ((r + layer) + knees[i])
+"""
+
+INJECT = """\
+e_{i}, b_{i}, x_{i} = np.empty({k}), np.empty({k}), np.empty({k})
+times(reads_{i}, x, e_{i})
+add_times(direct_{i}, v, e_{i}, term)
+times(measure_{i}, e_{i}, b_{i})
+unit(b_{i}, knees_{i}, {layer}, {rounds}, x_{i})
+add_times(pull_{i}, e_{i}, x, term)
+add_times(push_{i}, x_{i}, x, term)
 """
 
 READ = """\
@@ -106,21 +148,25 @@ def looped(general: General, stepper: Stepper) -> tuple[list[str], list[str], Ma
     """The body of `advance` from u, y and v1..vk on, the functions it calls, and the matrices it reads."""
     lay, o, h = general.layout, general.observer, general.sample_time
     k, r = lay.m + lay.p, stepper.N.shape[1]
-    sizes = {"nz": lay.nz, "k": k, "p": lay.p, "n": lay.n, "q": lay.q}
+    sizes = {"nz": lay.nz, "k": k, "p": lay.p, "n": lay.n, "q": lay.q, "r": r, "own": r - stepper.frozen}
     places = {"fault": lay.fault.start, "state": lay.state.start, "corrected": lay.corrected.start}
     places["sample"] = lay.sample.start + lay.m
     steps = {"h": literal(h), "half": literal(0.5 * h), "sixth": literal(h / 6.0)}
     constants = {"Rz": _columns(o.Cf, o.Cx), "Rv": _columns(o.Df, o.Dx), "F": o.F.T, "x0": o.x0}
-    nonlinear = [] if o.linear else [_nonlinear(stepper)]
+    nonlinear = [_nonlinear(stepper)] if r else []
     if general.scheme == "rk4":
         constants |= {"A": stepper.A.T, "B": stepper.B.T, "N": stepper.N.T}
-        helpers = [TIMES, *nonlinear, SLOPE + ("" if o.linear else SLOPE_MORE)]
+        helpers = [TIMES, *nonlinear, SLOPE + (SLOPE_MORE if r else "")]
         step = RK4
     else:
         named = zip(("Ad", "B0", "B1", "N0", "N1"), stepper.matrices(h), strict=True)
         constants |= {name: matrix.T for name, matrix in named}
         helpers = [TIMES, *nonlinear]
-        step = ZOH + (ZOH_LINE if general.hold == "linear" else "") + ("" if o.linear else ZOH_MORE)
+        step = ZOH + (ZOH_LINE if general.hold == "linear" else "") + (ZOH_MORE if r else "")
+        if stepper.moves:
+            helpers.append(UNIT.format(huge=literal(HUGE), tiny=literal(TINY)))
+            injected, more = _injections(stepper)
+            step, constants = step + injected, constants | more
     lines = [f"z, v, older, n = np.empty({lay.nz}), np.empty({k}), np.empty({k}), np.empty({r})"]
     lines += [f"x, term, middle = np.empty({lay.nz}), np.empty({lay.nz}), np.empty({k})"]
     lines += [f"for i in range({lay.nz}):", "    z[i] = before[i]"]
@@ -148,6 +194,17 @@ def _nonlinear(stepper: Stepper) -> str:
     inputs = [[f"z[{i}]" for i in range(nz)], [f"v[{i}]" for i in range(k)], ["t"]]
     lines = statements(nodes, outputs, inputs, [f"n[{i}]" for i in range(len(outputs))], "a")
     return "@part\ndef nonlinear(z, v, t, n):\n" + "".join(f"    {line}\n" for line in lines)
+
+
+def _injections(stepper: Stepper) -> tuple[str, dict[str, Array]]:
+    """The implicit injections, one after the other, and the matrices they read."""
+    text, constants = "", {}
+    for i, (one, (act, rounds)) in enumerate(zip(stepper.observer.injections, stepper.moves, strict=True)):
+        text += INJECT.format(i=i, k=len(one.reads), layer=literal(one.layer), rounds=rounds)
+        named = {"reads": one.reads.T, "direct": one.direct.T, "measure": act.measure.T, "knees": act.knees}
+        named |= {"pull": act.pull.T, "push": act.push.T}
+        constants |= {f"{name}_{i}": matrix for name, matrix in named.items()}
+    return text, constants
 
 
 def _columns(upper: Array, lower: Array) -> Array:

@@ -47,29 +47,40 @@ class Proven:
     criterion: str
 
 
+@dataclass(frozen=True)
+class Central:
+    """Another route to gains than the program: at a level, in words, and whether it finds the multipliers as well."""
+
+    at: Callable[[float], Outcome]
+    criterion: str
+    multipliers: bool = True
+
+
 def climb(
     posed: Posed,
     levels: Sequence[float],
     say: Callable[[str], None],
-    central: Callable[[float], Outcome] | None = None,
+    central: Central | None = None,
 ) -> tuple[Proven | None, tuple[Rung, ...]]:
     """Gains for the first of `levels` at which they can be proved, and every rung that was tried.
 
-    central: gains at a level by another route, for plants that are too large for the second criterion.
+    central: gains at a level by another route than the program.
     """
     rungs: list[Rung] = []
     for level in levels:
         say(f"gains at γ = {level:.6g}")
-        found, criterion = pick(posed, level) if central is None else (central(level), "central gain (Riccati)")
+        found, criterion = pick(posed, level) if central is None else (central.at(level), central.criterion)
         if not found.solved:
             rungs.append(Rung(level, "no gains", found.solver))
             continue
         gains = shipped(posed.theorem, found.values)
         say("proof")
-        for label, attempt in (("the solver's multipliers", lambda f=found: f), ("those of largest margin", None)):
-            if attempt is None and central is not None:
-                continue  # a program over P of this size is what the other route avoids
-            outcome = multipliers(posed, gains, level) if attempt is None else attempt()
+        own = central is None or central.multipliers
+        again = central is None or not central.multipliers  # a program over P of a large plant is what is avoided
+        attempts = [("the solver's multipliers", lambda f=found: f)] if own else []
+        attempts += [("those of largest margin", lambda g=gains, at=level: multipliers(posed, g, at))] if again else []
+        for label, attempt in attempts:
+            outcome = attempt()
             made, verification, word = _tested(posed, gains, outcome, level)
             rungs.append(Rung(level, label, word))
             if made is not None and verification is not None:

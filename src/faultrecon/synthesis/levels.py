@@ -57,6 +57,11 @@ class Posed:
         """The smallest squared level as a semidefinite program."""
         return Problem(self.inequalities(), self.theorem.minimise, self.fixed)
 
+    def held(self) -> dict[str, Any]:
+        """What is held fixed, in full shape, by letter."""
+        shapes = {k: leaf.shape for i in self.theorem.inequalities for k, leaf in leaves([i.expr], "unknown").items()}
+        return {k: np.broadcast_to(np.asarray(v, float), shapes[k]) for k, v in self.fixed.items() if k in shapes}
+
     def optimum(self) -> Outcome:
         """The smallest squared level."""
         return solve(self.problem())

@@ -14,12 +14,12 @@ from numpy.typing import NDArray
 
 from faultrecon.finding import Finding, Impossible, Inconclusive, InputError
 from faultrecon.lmi.solve import Outcome
-from faultrecon.methods.base import Method, Unproved
+from faultrecon.methods.base import ClosedForm, Method, Unproved
 from faultrecon.methods.registry import method as method_named
 from faultrecon.numerics.level import LevelSolution
 from faultrecon.plant.plant import Plant
 from faultrecon.synthesis import riccati_route
-from faultrecon.synthesis.ladder import climb
+from faultrecon.synthesis.ladder import Central, climb
 from faultrecon.synthesis.levels import Posed, pose
 from faultrecon.synthesis.refusals import below_floor, below_method, no_answer, no_proof, no_solution
 from faultrecon.synthesis.report import describe
@@ -49,7 +49,7 @@ def design(
     *,
     faults: Sequence[str] | None = None,
     level: float | None = None,
-    backoff: float = 0.05,
+    backoff: float | None = None,
     pole_bound: float | str | None = "auto",
     fix: Mapping[str, Any] | None = None,
     free: Sequence[str] = (),
@@ -59,7 +59,7 @@ def design(
     """Gains with a guaranteed level, rounded to float64 and proved.
 
     faults: names of the faults to reconstruct, the others taken as healthy; all by default.  level: γ to aim at; by
-    default (1 + backoff) times the optimum under the pole bound.  pole_bound: ρ in rad/s for Re λ > -ρ, None for none,
+    default (1 + backoff) times the optimum under the pole bound.  backoff: 0.05, or what the method says.  pole_bound: ρ in rad/s for Re λ > -ρ, None for none,
     "auto" for 2 / (noise hold time), or ten times the plant's fastest mode where no noise is declared.  fix, free:
     unknowns of the theorem held or set free, by letter.  certify=False gives a baseline's gains without a proof.
     progress: called with a word before each stage.
@@ -72,6 +72,7 @@ def design(
     if faults is not None:
         plant = plant.with_faults(faults)
     chosen = method_named(method)
+    backoff = chosen.backoff if backoff is None else backoff
     _options(backoff, level)
     if not certify or isinstance(chosen, Unproved):
         return _unproved(chosen, plant, started)
@@ -84,11 +85,14 @@ def design(
     say("optimum")
     posed = pose(chosen, plant, fix=fix, free=tuple(free))
     by_riccati = riccati_route.optimum(posed)
-    central: Callable[[float], Outcome] | None = None
+    central: Central | None = None
     if by_riccati is not None and plant.n >= riccati_route.LARGE:
         best = bounded = by_riccati.gamma
         notes: tuple[str, ...] = ("a large plant: Riccati route, central gains, no pole bound",)
-        central = partial(riccati_route.gains, posed, beta=by_riccati.beta, best=best)
+        central = Central(partial(riccati_route.gains, posed, beta=by_riccati.beta, best=best), "central gain (Riccati)")
+    elif (closed := chosen.closed_form(plant)) is not None:
+        best = bounded = closed.optimum
+        notes, central = (), Central(partial(_closed, closed, posed), closed.name, multipliers=False)
     else:
         best, notes = _checked_optimum(posed, by_riccati)
         posed, bounded, more = _bounded(chosen, plant, fix, tuple(free), pole_bound, best, level)
@@ -134,8 +138,11 @@ def optimum(
 
     Raises Impossible when the inequality has no solution, Inconclusive when the solver cannot tell.
     """
+    chosen = method_named(method)
+    if (closed := chosen.closed_form(plant)) is not None:
+        return closed.optimum
     posed = pose(
-        method_named(method),
+        chosen,
         plant.reading_all_states() if all_states else plant,
         fix=fix,
         free=tuple(free),
@@ -161,6 +168,14 @@ def _allowed(chosen: Method, plant: Plant) -> list[Finding]:
         if finding.severity == "fatal":
             raise Impossible(finding)
     return findings
+
+
+def _closed(form: ClosedForm, posed: Posed, level: float) -> Outcome:
+    """The gains of a closed form as if a solver had found them, without multipliers."""
+    values = form.at(level)
+    if values is None:
+        return Outcome("unknown", solver=f"{form.name}: no gains at this level")
+    return Outcome("solved", {**posed.held(), **values}, posed.theorem.objective(level), form.name)
 
 
 def _checked_optimum(posed: Posed, by_riccati: LevelSolution | None) -> tuple[float, tuple[str, ...]]:
