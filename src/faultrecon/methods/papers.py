@@ -39,11 +39,13 @@ TAN_2002 = Paper(
     "Sliding mode observers for detection and reconstruction of sensor faults",
     "Automatica 38(10), 1815-1821",
     "10.1016/S0005-1098(02)00098-5",
+)
 
 HUANG_2024 = Paper(
     "huang2024",
-    "Huang, J., Gao, Z. and Liu, Y.",
+    "Huang; Gao; Liu",
     2024,
-    "Sensor fault reconstruction using adaptive unknown-input observers",
-    "Sensors 24, 3224",
+    "Sensor fault reconstruction using robustly adaptive unknown-input observers",
+    "Sensors 24(10), 3224",
+    "10.3390/s24103224",
 )
