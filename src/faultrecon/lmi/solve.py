@@ -145,10 +145,10 @@ def _attempt(problem: Problem, data: ConicData, tolerance: float, time_limit: fl
     started = time.perf_counter()
     try:
         answer = _clarabel(data, tolerance, time_limit)
-        if _word(answer) == "AlmostSolved":
+        if _word(answer) in HALFWAY:
             # Shorter steps keep the iterates central, and often reach the tolerance after all.
             patient = _clarabel(data, tolerance, time_limit, step=0.9)
-            answer = patient if _word(patient) == "Solved" else answer
+            answer = min(answer, patient, key=lambda a: _RANK.get(_word(a), len(_RANK)))
     except (KeyboardInterrupt, SystemExit):
         raise
     except BaseException as failure:  # a panic inside the compiled solver derives from BaseException alone
@@ -164,6 +164,11 @@ def _attempt(problem: Problem, data: ConicData, tolerance: float, time_limit: fl
     if word == "PrimalInfeasible" and _farkas(data, z):
         return Outcome("infeasible", **effort)
     return Outcome("unknown", **effort)
+
+
+HALFWAY = ("AlmostSolved", "InsufficientProgress", "NumericalError")
+"""Words after which another run of the solver may know more."""
+_RANK = {"Solved": 0, "PrimalInfeasible": 1, "AlmostSolved": 2}
 
 
 def _objective(problem: Problem, v: np.ndarray) -> float:
