@@ -168,7 +168,9 @@ def substitute(exprs: Sequence[Expr], by: Mapping[str, Expr]) -> list[Expr]:
             return new
         if node.op == "block":
             rows = tuple(tuple(go(b) for b in row) for row in node.args[0])
-            same = all(a is b for old, new in zip(node.args[0], rows, strict=True) for a, b in zip(old, new, strict=True))
+            same = all(
+                a is b for old, new in zip(node.args[0], rows, strict=True) for a, b in zip(old, new, strict=True)
+            )
             return node if same else Expr("block", (rows,), node.shape)
         args = tuple(go(a) if isinstance(a, Expr) else a for a in node.args)
         return node if all(a is b for a, b in zip(args, node.args, strict=True)) else Expr(node.op, args, node.shape)

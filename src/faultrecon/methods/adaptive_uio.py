@@ -42,25 +42,22 @@ from faultrecon.methods.errors_uio import (
     ErrorLetters,
     InjectionErrors,
     error_letters,
+    fastest,
     injection_inequality,
     scope,
+    times_identity,
     unknown_input_observer,
+    within_reach,
 )
 from faultrecon.methods.papers import HUANG_2024
 from faultrecon.numerics.annihilator import annihilator
 from faultrecon.numerics.pencil import undetectable_modes
-from faultrecon.numerics.scaling import spectral_norm
 from faultrecon.plant.plant import Plant
 
 Array = NDArray[np.float64]
 
 LEARNING = 10.0
 """Γ of the paper's examples, for faults in units of their declared sizes."""
-AT_MOST = 15.0
-"""How many times faster than the plant's fastest mode an observer may be, unless its samples come faster: the infimum
-would ask for gains without bound, and within this bound the optimum is found to 1e-7 instead of 1e-4."""
-STEP_SHARE = 2.0
-"""Fastest pole times the time for which a noise sample is held, inside the 2.785 of classical Runge-Kutta."""
 
 
 class AdaptiveUio(Method):
@@ -129,7 +126,7 @@ class AdaptiveUio(Method):
 
     def held(self, plant: Plant) -> dict[str, Any]:
         """Γ⁻¹, the weight of the state error, and the bound on the poles."""
-        return {"W": np.eye(len(plant.faults)) / LEARNING, "W_x": np.zeros((plant.n, plant.n)), "ρ": fastest(plant)}
+        return {"W": times_identity(1 / LEARNING, len(plant.faults)), "W_x": 0.0, "ρ": fastest(plant)}
 
     def observer(self, plant: Plant, gains: Mapping[str, Array]) -> Observer:
         """z' = N z + L y + J B u - L1 D f̂ + J G φ(H x̂), x̂ = z + M y, f̂' = Γ F_a (y - C x̂ - D f̂)."""
@@ -163,7 +160,7 @@ class AdaptiveUioPrinted(AdaptiveUio):
 
     def held(self, plant: Plant) -> dict[str, Any]:
         """Γ⁻¹; every state error has weight one."""
-        return {"W": np.eye(len(plant.faults)) / LEARNING, "W_x": np.eye(plant.n)}
+        return {"W": times_identity(1 / LEARNING, len(plant.faults)), "W_x": np.eye(plant.n)}
 
 
 class AdaptiveUioFull(AdaptiveUio):
@@ -258,26 +255,6 @@ def unseen_findings(plant: Plant) -> list[Finding]:
             see="Huang 2024, section 3, with x' P T A x < 0 wherever C x + D f = 0",
         )
     ]
-
-
-def within_reach(drift: Expr, lyapunov: Expr) -> Inequality:
-    """|λ| < ρ for every pole: A' P A < ρ² P.  A bound on the real part alone leaves oscillations of any frequency."""
-    reach = unknown("ρ") * lyapunov
-    return (sym([[reach, drift], [__, reach]]) > 0).tagged("|λ| < ρ")
-
-
-def slower(drift: Expr, lyapunov: Expr) -> Inequality:
-    """Re λ > -ρ for every pole: the cheaper half of `within_reach`."""
-    return (drift + drift.T + 2 * unknown("ρ") * lyapunov > 0).tagged("Re λ > -ρ")
-
-
-def fastest(plant: Plant) -> float:
-    """ρ in rad/s, a power of two; the norm of A stands in where every mode is slow."""
-    modes = float(np.abs(np.linalg.eigvals(plant.A)).max())
-    wanted = AT_MOST * max(modes, 1e-3 * spectral_norm(plant.A), 1e-6)
-    if plant.noise is not None:
-        wanted = max(wanted, STEP_SHARE / plant.noise.hold)
-    return float(2.0 ** np.ceil(np.log2(wanted)))
 
 
 CLAIM = (

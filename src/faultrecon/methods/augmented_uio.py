@@ -21,15 +21,17 @@ from faultrecon.diagnosis.limits import Floor
 from faultrecon.finding import Finding
 from faultrecon.graph.observer import Observer
 from faultrecon.lmi.expr import I, blocks, given, let, unknown, zeros
-from faultrecon.methods.adaptive_uio import fastest, slower
 from faultrecon.methods.base import Method, Scaling, Theorem, lipschitz_premises
 from faultrecon.methods.errors_uio import (
     BASES,
     ErrorLetters,
     InjectionErrors,
     error_letters,
+    fastest,
     injection_inequality,
     scope,
+    slower,
+    times_identity,
     unknown_input_observer,
 )
 from faultrecon.methods.papers import HUANG_2024
@@ -82,8 +84,7 @@ class AugmentedUio(Method):
 
         The error of the rate counts by default: without it the optimum is nearly zero and its gains run away.
         """
-        n, q = plant.n, len(plant.faults)
-        return {"W_x": np.zeros((n, n)), "W_g": np.eye(q), "ρ": fastest(plant)}
+        return {"W_x": 0.0, "W_g": times_identity(1.0, len(plant.faults)), "ρ": fastest(plant)}
 
     def observer(self, plant: Plant, gains: Mapping[str, Array]) -> Observer:
         """z' = N z + L y + J B u - K_x D f̂ - M D ĝ + J G φ(H x̂), ĝ' = K_g ν, f̂' = ĝ + K_f ν, ν = y - C x̂ - D f̂."""
@@ -110,9 +111,25 @@ class AugmentedUioPrinted(AugmentedUio):
     variant_of = "augmented-uio"
     drives = False
 
+    def assumptions(self, plant: Plant) -> list[Finding]:
+        """Those of augmented-uio, and something to measure against: f'' does not count here."""
+        found = super().assumptions(plant)
+        enters = any(d.role == "attenuate" and any(d.into.values()) for d in plant.attenuated)
+        if enters or any(f.severity == "fatal" for f in found):
+            return found
+        return [
+            Finding(
+                f"nothing enters the states of {plant.name} but what is decoupled",
+                why="the printed form leaves f'' out, so its level would be zero and say nothing",
+                remedies=("use augmented-uio, which counts f''",),
+                see="Huang 2024, comparison with the augmented observer",
+            ),
+            *found,
+        ]
+
     def held(self, plant: Plant) -> dict[str, Any]:
         """Every error has weight one."""
-        return super().held(plant) | {"W_x": np.eye(plant.n), "W_g": np.eye(len(plant.faults))}
+        return super().held(plant) | {"W_x": np.eye(plant.n), "W_g": times_identity(1.0, len(plant.faults))}
 
 
 # fmt: off

@@ -13,25 +13,41 @@ estimate is the open loop's, f̂ = F⁺ ŝ = F⁺ (y - C x̂), and what can be c
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from faultrecon.methods.base import Scaling, Theorem
-from faultrecon.methods.open_loop import OpenLoop
+from faultrecon.finding import Finding
+from faultrecon.graph.observer import Observer
+from faultrecon.methods.base import Method, Scaling, Theorem
+from faultrecon.methods.papers import KHOSROWJERDI_2011
+from faultrecon.methods.parallel_model import parallel_findings, parallel_observer, parallel_theorem
 from faultrecon.plant.plant import Plant
 
 
-class Descriptor(OpenLoop):
+class Descriptor(Method):
     """Its equations after the split, started at ε = 0; its level is the necessary one of any inequality of this form."""
 
     name = "descriptor"
     summary = "baseline: descriptor observer with outputs' disturbances as states; its state estimate is open loop"
+    baseline = True
+    paper = KHOSROWJERDI_2011
+
+    def assumptions(self, plant: Plant) -> list[Finding]:
+        """Those of the open loop: a stable plant that outweighs its nonlinearity."""
+        return parallel_findings(plant)
 
     def theorem(self, plant: Plant, scaling: Scaling) -> Theorem:
-        """The bounded-real inequality of the error system that is left."""
-        return replace(super().theorem(plant, scaling), number="bounded real, descriptor with ε = 0")
+        """The bounded-real inequality of the error system that is left, e' = A e + G δφ + E_w w."""
+        return parallel_theorem(plant, scaling, "bounded real, descriptor with ε = 0")
+
+    def gains_without_proof(self, plant: Plant) -> dict[str, NDArray[np.float64]] | None:
+        """There is nothing to choose: no gain reaches the fault estimate once ε is zero."""
+        return {}
+
+    def observer(self, plant: Plant, gains: Mapping[str, NDArray[np.float64]]) -> Observer:
+        """x̂ follows the model; f̂ = F⁺ ŝ = F⁺ (y - C x̂ - D u)."""
+        return parallel_observer(plant)
 
     def notes(self, plant: Plant, gains: Mapping[str, NDArray[np.float64]]) -> tuple[str, ...]:
         """What its structure costs."""

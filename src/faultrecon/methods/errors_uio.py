@@ -17,12 +17,20 @@ from faultrecon.diagnosis.decoupling import attenuated_selection, decoupled_sele
 from faultrecon.graph.observer import CopiedTerm, Observer
 from faultrecon.lmi.expr import Expr, I, Inequality, __, given, let, sym, unknown
 from faultrecon.methods.base import Identity, Scaling, deviations, letters, lipschitz_scope
+from faultrecon.numerics.scaling import spectral_norm, state_scaling
 from faultrecon.plant.plant import Plant
 
 Array = NDArray[np.float64]
 
 ROUNDING = 2.0**-40
 """J E_d = 0 holds to rounding, in declared sizes: far below any disturbance that could be told from none."""
+
+
+AT_MOST = 15.0
+"""How many times faster than the plant's fastest mode an observer may be, unless its samples come faster: the infimum
+would ask for gains without bound, and within this bound the optimum is found to 1e-7 instead of 1e-4."""
+STEP_SHARE = 2.0
+"""Fastest pole times the time for which a noise sample is held, inside the 2.785 of classical Runge-Kutta."""
 
 
 BASES = ("S", "S⁻¹", "Φ", "Φ⁻¹")
@@ -70,6 +78,7 @@ class ErrorLetters:
 def error_letters(plant: Plant, scaling: Scaling, *, noise_counts: bool = False) -> ErrorLetters:
     """The letters for a plant; noise_counts: sensor noise, in standard deviations, is one more disturbance."""
     n, q, p = plant.n, len(plant.faults), plant.p
+    scaling = replace(scaling, state=_state_units(plant))
     s = letters(plant, scaling)
     T, Ti = s.T, s.Ti
     S,  Si  = _units("S", _output_units(plant, scaling))
@@ -107,6 +116,17 @@ def _units(name: str, size: Array) -> tuple[Expr, Expr]:
     return given(name, np.diag(unit).reshape(k, k)), given(f"{name}⁻¹", np.diag(1 / unit).reshape(k, k))
 
 
+def _state_units(plant: Plant) -> NDArray[np.int64]:
+    """Exponents of two for the states.  Faults drive this error system, so a sensor shows what its fault is worth."""
+    weights = plant.letters()
+    drives = np.hstack([plant.E_w @ weights["W"], plant.G])
+    shown = np.hstack([plant.F_f * [f.size for f in plant.faults], plant.F_w @ weights["W"]])
+    worth = np.abs(shown).max(axis=1, initial=0.0)
+    usual = np.max(worth[worth > 0], initial=0.0) or 1.0
+    C = plant.C / np.where(worth > 0, worth, usual)[:, None]
+    return state_scaling(plant.A, drives if drives.any() else plant.B, C, np.array(plant.signals.x.ranges))
+
+
 def _output_units(plant: Plant, scaling: Scaling) -> Array:
     """What each output shows of states, faults and counted disturbances of size one."""
     weights = plant.letters()
@@ -129,6 +149,11 @@ def _intensity(plant: Plant) -> Array:
     if plant.noise is None:
         return np.eye(plant.p)
     return np.diag(np.sqrt(plant.noise.hold) * np.array(plant.noise.sd))
+
+
+def times_identity(value: float, q: int) -> float | Array:
+    """What an unknown (q, q) is held at: a number where it is one, so that it reads as one."""
+    return value if q == 1 else value * np.eye(q)
 
 
 def scope(plant: Plant) -> str:
@@ -210,3 +235,26 @@ def injection_inequality(o: InjectionErrors, P: Expr, Y: Expr, ε: Expr, r2: Exp
                 [ __, __                                , -ε*I(r), 0       ],
                 [ __, __                                , __     , -I(z)   ]]) < 0
 # fmt: on
+
+
+# ---------------------------------------------------------------- how fast an observer may be
+
+
+def within_reach(drift: Expr, lyapunov: Expr) -> Inequality:
+    """|λ| < ρ for every pole: A' P A < ρ² P.  A bound on the real part alone leaves oscillations of any frequency."""
+    reach = unknown("ρ") * lyapunov
+    return (sym([[reach, drift], [__, reach]]) > 0).tagged("|λ| < ρ")
+
+
+def slower(drift: Expr, lyapunov: Expr) -> Inequality:
+    """Re λ > -ρ for every pole: the cheaper half of `within_reach`."""
+    return (drift + drift.T + 2 * unknown("ρ") * lyapunov > 0).tagged("Re λ > -ρ")
+
+
+def fastest(plant: Plant) -> float:
+    """ρ in rad/s, a power of two; the norm of A stands in where every mode is slow."""
+    modes = float(np.abs(np.linalg.eigvals(plant.A)).max())
+    wanted = AT_MOST * max(modes, 1e-3 * spectral_norm(plant.A), 1e-6)
+    if plant.noise is not None:
+        wanted = max(wanted, STEP_SHARE / plant.noise.hold)
+    return float(2.0 ** np.ceil(np.log2(wanted)))

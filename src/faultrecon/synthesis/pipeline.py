@@ -89,7 +89,9 @@ def design(
     if by_riccati is not None and plant.n >= riccati_route.LARGE:
         best = bounded = by_riccati.gamma
         notes: tuple[str, ...] = ("a large plant: Riccati route, central gains, no pole bound",)
-        central = Central(partial(riccati_route.gains, posed, beta=by_riccati.beta, best=best), "central gain (Riccati)")
+        central = Central(
+            partial(riccati_route.gains, posed, beta=by_riccati.beta, best=best), "central gain (Riccati)"
+        )
     elif (closed := chosen.closed_form(plant)) is not None:
         best = bounded = closed.optimum
         notes, central = (), Central(partial(_closed, closed, posed), closed.name, multipliers=False)
