@@ -36,7 +36,7 @@ from faultrecon.diagnosis.limits import Floor, hidden_floor
 from faultrecon.finding import Finding
 from faultrecon.graph.observer import Observer
 from faultrecon.lmi.expr import Expr, I, Inequality, __, blocks, given, let, sym, unknown, zeros
-from faultrecon.methods.base import Method, Scaling, Theorem, lipschitz_premises
+from faultrecon.methods.base import Method, Reproduction, Scaling, Theorem, lipschitz_premises
 from faultrecon.methods.errors_uio import (
     BASES,
     ErrorLetters,
@@ -153,6 +153,7 @@ class AdaptiveUioPrinted(AdaptiveUio):
     name = "adaptive-uio-printed"
     summary = "adaptive-uio as printed: the state error counts in full and no pole is bounded; reference only"
     variant_of = "adaptive-uio"
+    reproductions = ()
 
     def also(self, drift: Expr, lyapunov: Expr) -> list[Inequality]:
         """Nothing."""
@@ -172,6 +173,7 @@ class AdaptiveUioFull(AdaptiveUio):
     name = "adaptive-uio-full"
     summary = "adaptive-uio with a full Lyapunov matrix in place of diag(P, Γ⁻¹)"
     variant_of = "adaptive-uio"
+    reproductions = ()
 
     # fmt: off
     def theorem(self, plant: Plant, scaling: Scaling) -> Theorem:
@@ -231,6 +233,7 @@ class AdaptiveUioNoise(AdaptiveUio):
     name = "adaptive-uio-noise"
     summary = "adaptive-uio with the declared sensor noise counted in the level"
     variant_of = "adaptive-uio"
+    reproductions = ()
     noise_counts = True
 
 
@@ -260,4 +263,31 @@ def unseen_findings(plant: Plant) -> list[Finding]:
 CLAIM = (
     "∫|f - f̂|² + |W_x (x - x̂)|² dt ≤ γ² ∫|f'|² + |w|² dt + V(e(0)) on every horizon, faults and disturbances in units of"
     " their declared sizes and f' in sizes per second; the errors tend to zero when the fault is constant and w = 0"
+)
+
+_SLOW = (
+    "the printed level needs poles no faster than about 10 rad/s, not the {fast} of the printed gains; without a bound"
+    " the level has no smallest value that gains attain"
+)
+AdaptiveUio.reproductions = (
+    Reproduction(
+        "Aircraft, r with every error counted and poles to the right of -10",
+        "civil_aircraft",
+        0.12,
+        0.1204025,
+        1e-5,
+        "with_change",
+        _SLOW.format(fast="2.6e6"),
+        {"pole_bound": 10.0, "fix": {"W_x": np.eye(4), "ρ": 1e4}},
+    ),
+    Reproduction(
+        "Robot, r at ε = 40 with every error counted and poles to the right of -10",
+        "flexible_joint",
+        0.48,
+        0.1586469,
+        1e-5,
+        "with_change",
+        _SLOW.format(fast="2.6e4"),
+        {"pole_bound": 10.0, "fix": {"W_x": np.eye(4), "ρ": 1e4, "ε": 40.0}, "all_states": True},
+    ),
 )
