@@ -304,7 +304,7 @@ def test_pitch_and_yaw_gyros_together_are_possible_with_L2_free():
     assert level == pytest.approx(1.17540, abs=5e-4)
 
 
-@pytest.mark.parametrize("coupling", [1e-3, 1e-4, 1e-6])
+@pytest.mark.parametrize("coupling", [1e-1, 1e-2, 1e-3, 1e-4, 1e-6])
 def test_a_mode_that_is_seen_by_a_hair_is_treated_as_unseen_with_a_warning(coupling):
     plant = aircraft("q")
     A = plant.A.copy()
