@@ -59,6 +59,15 @@ def test_of_two_that_exclude_each_other_the_first_is_decoupled_and_the_other_say
     assert "not together with a" in found.reasons["b"] and "rank 1 of 2" in found.reasons["b"]
 
 
+def test_a_refusal_says_which_of_several_disturbances_can_be_decoupled():
+    both = [fr.Disturbance("a", {"x1": 1.0}, role="decouple"), fr.Disturbance("b", {"x1": -2.0}, role="decouple")]
+    with pytest.raises(fr.Impossible, match="rank 1 of 2") as refused:
+        fr.design(chain(both), "adaptive-uio")
+    assert refused.value.finding.remedies[0] == "decouple a and attenuate b"
+    eased = chain([both[0], replace(both[1], role="attenuate")])
+    assert fr.design(eased, "adaptive-uio").verification.verdict == "proved"
+
+
 def test_a_larger_set_is_preferred_to_an_earlier_one():
     mixed = fr.Disturbance("mixed", {"x1": 1.0, "x2": 1.0})
     found = partition(chain([mixed, fr.Disturbance("a", {"x1": 1.0}), fr.Disturbance("b", {"x2": 1.0})]))
@@ -193,6 +202,26 @@ def test_slow_zeros_are_told():
     assert "-0.03849" in told and "a pole near" in told
     assert "away from zero" in invariant_zero_notes(fr.library("flexible_joint"))[0]
     assert fr.design(AIRCRAFT, "adaptive-uio").details.slowest_pole == pytest.approx(0.0385, rel=0.4)
+
+
+def test_no_scaling_makes_a_false_decoupling_true():
+    made = fr.design(AIRCRAFT, "adaptive-uio").certificate
+    data = dict(made.data)
+    for name, factor in (("T", 2.0**50), ("T⁻¹", 2.0**-50)):
+        data[name] = {**data[name], "hex": [(factor * float.fromhex(v)).hex() for v in data[name]["hex"]]}
+    entries = [float.fromhex(v) for v in data["M"]["hex"]]
+    data["M"] = {**data["M"], "hex": [(1.001 * v).hex() for v in entries]}
+    found = replace(made, data=data).sealed().verify()
+    assert not found.sound
+    assert next(s for s in found.steps if s.label.startswith("J E_d = 0")).verdict == "refuted"
+
+
+@pytest.mark.parametrize("rho", [2.0, 10.0])
+def test_a_hidden_unstable_mode_costs_its_floor_and_the_time_constant_of_the_fastest_pole(rho):
+    balance = trial_plants()[3]
+    # Measured, and what a first-order observer of the hidden mode suggests: level = floor + 1/ρ.
+    level = optimum(balance, "adaptive-uio-full", pole_bound=rho)
+    assert level == pytest.approx(hidden_floor(balance).value + 1 / rho, rel=1e-5)
 
 
 # ---------------------------------------------------------------- contracts and baselines

@@ -108,6 +108,18 @@ def unknown_input_findings(plant: Plant) -> list[Finding]:
     return _on_sensors(plant) or decoupling_findings(plant)
 
 
+def with_advice(plant: Plant, findings: list[Finding]) -> list[Finding]:
+    """The findings; a fatal one about several disturbances to be decoupled also says which of them can be."""
+    asked = [d.name for d in plant.attenuated if d.role == "decouple"]
+    if len(asked) < 2 or not any(f.severity == "fatal" for f in findings):
+        return findings
+    able = [name for name in partition(plant).decouple if name in asked]
+    if not able or len(able) == len(asked):
+        return findings
+    advice = f"decouple {', '.join(able)} and attenuate {', '.join(n for n in asked if n not in able)}"
+    return [replace(f, remedies=(advice, *f.remedies)) if f.severity == "fatal" else f for f in findings]
+
+
 def _on_sensors(plant: Plant) -> list[Finding]:
     onto = decoupled_onto(plant)
     names = [d.name for d in plant.attenuated if d.role == "decouple"]

@@ -31,6 +31,7 @@ from faultrecon.diagnosis.decoupling import (
     partition,
     unknown_input_findings,
     unknown_input_gain,
+    with_advice,
 )
 from faultrecon.diagnosis.limits import Floor, hidden_floor
 from faultrecon.finding import Finding
@@ -72,7 +73,7 @@ class AdaptiveUio(Method):
 
     def assumptions(self, plant: Plant) -> list[Finding]:
         """What is to be decoupled can be, no mode hides behind it or behind the faults, a constant fault shows at rest."""
-        found = unknown_input_findings(plant)
+        found = with_advice(plant, unknown_input_findings(plant))
         return found if any(f.severity == "fatal" for f in found) else self.seen(plant) + found
 
     def seen(self, plant: Plant) -> list[Finding]:

@@ -16,7 +16,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from faultrecon.diagnosis.decoupling import invariant_zero_notes, unknown_input_findings
+from faultrecon.diagnosis.decoupling import invariant_zero_notes, unknown_input_findings, with_advice
 from faultrecon.diagnosis.limits import Floor
 from faultrecon.finding import Finding
 from faultrecon.graph.observer import Observer
@@ -51,7 +51,7 @@ class AugmentedUio(Method):
 
     def assumptions(self, plant: Plant) -> list[Finding]:
         """Those of adaptive-uio: the second integrator of the fault model has its mode at s = 0 as well."""
-        return unknown_input_findings(plant)
+        return with_advice(plant, unknown_input_findings(plant))
 
     # fmt: off
     def theorem(self, plant: Plant, scaling: Scaling) -> Theorem:

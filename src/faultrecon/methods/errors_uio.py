@@ -23,7 +23,8 @@ from faultrecon.plant.plant import Plant
 Array = NDArray[np.float64]
 
 ROUNDING = 2.0**-40
-"""J E_d = 0 holds to rounding, in declared sizes: far below any disturbance that could be told from none."""
+"""J E_d = 0 holds to rounding, relative to the largest entry of E_d in declared sizes; in the plant's own units, so that
+no choice of the scaling T, which is free, can make it true."""
 
 
 AT_MOST = 15.0
@@ -90,7 +91,6 @@ def error_letters(plant: Plant, scaling: Scaling, *, noise_counts: bool = False)
     M  = let("M_s", Ti@M_plant@S)
     C  = let("C", Si@s["C"]@T)
     J  = let("J", I(n) - M@C)                                                        # T of the paper
-    J_plain = I(n) - Ti@M_plant@S@Si@s["C"]@T               # no named parts: an identity is read apart from the rest
     A  = let("A", Ti@s["A"]@T)
     E2 = let("E₂", Ti@s["E_w"]@s["W"]@Iw)
     F2 = let("F₂", Si@s["F_w"]@s["W"]@Iw + Si@Nv) if noise_counts else let("F₂", Si@s["F_w"]@s["W"]@Iw)
@@ -103,7 +103,7 @@ def error_letters(plant: Plant, scaling: Scaling, *, noise_counts: bool = False)
         Wx=let("W_T", unknown("W_x", n, n)@T), noise=given("noise", _intensity(plant)),
         identities=(
             Identity("T T⁻¹ = I", T@Ti - I(n)), Identity("S S⁻¹ = I", S@Si - I(p)), Identity("Φ Φ⁻¹ = I", Φ@Φi - I(q)),
-            Identity("J E_d = 0: what is decoupled does not enter", J_plain@Ti@s["E_w"]@s["W"]@Id, ROUNDING),
+            Identity("J E_d = 0: what is decoupled does not enter", (I(n) - M_plant@s["C"])@s["E_w"]@s["W"]@Id, ROUNDING*_size(plant)),
         ),
     )
 # fmt: on
@@ -142,6 +142,12 @@ def _columns(plant: Plant, noise_counts: bool) -> tuple[Expr, Expr]:
     onto = np.diag(sd)[:, sd > 0] if sd.size else np.zeros((plant.p, 0))
     into = np.hstack([chosen, np.zeros((len(chosen), onto.shape[1]))])
     return given("I_w", into), given("N_v", np.hstack([np.zeros((plant.p, chosen.shape[1])), onto]))
+
+
+def _size(plant: Plant) -> float:
+    """The largest entry of E_d for disturbances of their declared sizes; 1 where nothing is decoupled."""
+    E = plant.E_w @ plant.letters()["W"] @ decoupled_selection(plant)
+    return float(np.abs(E).max(initial=0.0)) or 1.0
 
 
 def _intensity(plant: Plant) -> Array:
