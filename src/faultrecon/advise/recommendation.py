@@ -21,7 +21,7 @@ RULE = (
     " fault, averaged over the faults); the lower guaranteed level decides between those within 5 % of it"
 )
 FIRST = "lipschitz-hinf"
-"""Of the methods that apply the first to try: no fault enters its level, so that it holds for faults of any waveform."""
+"""Of the methods that apply, the one to try first: no fault enters its level, which holds for any waveform."""
 EQUAL = 1.05
 """Errors of one scenario that differ by less than a part in twenty are no reason to prefer one method."""
 
