@@ -203,12 +203,18 @@ def _still(plant: Plant) -> float:
 
 
 def _unknown_inputs(plant: Plant) -> tuple[Array, Array, Array, Array]:
+    into, onto = fault_columns(plant)
     return (
         plant.A,
-        np.hstack([decoupled_into(plant), plant.E_f]),
+        np.hstack([decoupled_into(plant), into]),
         plant.C,
-        np.hstack([decoupled_onto(plant), plant.F_f + plant.D @ _commands(plant)]),
+        np.hstack([decoupled_onto(plant), onto]),
     )
+
+
+def fault_columns(plant: Plant) -> tuple[Array, Array]:
+    """Every fault into the states (n, q) and onto the measurements (p, q), per physical unit."""
+    return plant.E_f, plant.F_f + plant.D @ _commands(plant)
 
 
 def _commands(plant: Plant) -> Array:
