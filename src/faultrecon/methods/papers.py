@@ -40,3 +40,12 @@ TAN_2002 = Paper(
     "Automatica 38(10), 1815-1821",
     "10.1016/S0005-1098(02)00098-5",
 )
+
+HUANG_2024 = Paper(
+    "huang2024",
+    "Huang; Gao; Liu",
+    2024,
+    "Sensor fault reconstruction using robustly adaptive unknown-input observers",
+    "Sensors 24(10), 3224",
+    "10.3390/s24103224",
+)

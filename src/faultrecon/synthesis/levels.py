@@ -99,7 +99,7 @@ def pose(
     return posed
 
 
-ASCII = {"beta": "β", "gamma2": "γ²", "K1": "K₁"}
+ASCII = {"beta": "β", "gamma2": "γ²", "K1": "K₁", "epsilon": "ε", "rho": "ρ"}
 
 
 def letter(name: str) -> str:
