@@ -181,7 +181,7 @@ def test_what_the_model_misses_is_the_friction():
 def errors():
     """Error over fault, and of the estimate on the healthy run, with lipschitz-hinf."""
     design = fr.design(PLANT)
-    assert design.verification.verdict == "proved"
+    assert design.verification is not None and design.verification.verdict == "proved"
     marks = {kind: fr.replay(design, recorded(kind)).scores()["motor_encoder"] for kind in KINDS}
     return {kind: m.leak if kind == "healthy" else m.nrmse for kind, m in marks.items()}
 
