@@ -69,6 +69,7 @@ class AdaptiveUio(Method):
         "unknown-input observer with an adaptive fault estimate; Lipschitz or linear plants, additive sensor faults"
     )
     paper = HUANG_2024
+    counts_rates = True
     noise_counts: ClassVar[bool] = False
 
     def assumptions(self, plant: Plant) -> list[Finding]:

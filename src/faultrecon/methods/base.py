@@ -19,6 +19,7 @@ from faultrecon.diagnosis.limits import Floor, reconstruction_floor
 from faultrecon.finding import Finding
 from faultrecon.graph.observer import CopiedTerm, NonlinearTerm, Observer
 from faultrecon.lmi.expr import Expr, Inequality, given
+from faultrecon.plant.fault import Disturbance
 from faultrecon.plant.plant import Plant
 
 Status = Literal["as_printed", "with_change", "not_as_printed", "re_derived"]
@@ -211,7 +212,7 @@ class ClosedForm:
 class Method(ABC):
     """A published method.  Subclasses are found by scanning `faultrecon.methods` and the entry-point group.
 
-    backoff: how far above its optimum a design stays unless told otherwise.  criterion: how gains that need no theorem are picked, in words.
+    counts_rates: whether the level counts the faults' rates.  backoff: how far above its optimum a design stays unless told otherwise.  criterion: how gains that need no theorem are picked, in words.
     """
 
     name: ClassVar[str]
@@ -220,6 +221,7 @@ class Method(ABC):
     baseline: ClassVar[bool] = False
     variant_of: ClassVar[str | None] = None
     backoff: ClassVar[float] = 0.05
+    counts_rates: ClassVar[bool] = False
     criterion: ClassVar[str] = "none: there is nothing to choose"
     reproductions: ClassVar[Sequence[Reproduction]] = ()
 
@@ -234,6 +236,10 @@ class Method(ABC):
     @abstractmethod
     def observer(self, plant: Plant, gains: Mapping[str, NDArray[np.float64]]) -> Observer:
         """The executable equations with these gains."""
+
+    def counted(self, plant: Plant) -> tuple[Disturbance, ...] | None:
+        """The disturbances that the level counts; None where no simulated error can be held against it."""
+        return plant.attenuated
 
     def closed_form(self, plant: Plant) -> ClosedForm | None:
         """Another route to the gains than the program, which then is asked for the multipliers of the proof alone."""
