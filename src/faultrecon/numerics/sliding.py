@@ -262,8 +262,8 @@ def peak_injection(canonical: Canonical, L: ArrayLike, *, of: str = "rate", rtol
     """How large ν_eq = -A21 e1 + F_2 ξ + M_2 ψ becomes per unit of sup |ξ|, or of sup |ψ|: ρ above it keeps sliding.
 
     of: "rate" for ξ, "disturbance" for ψ.  From e1 = 0, Euclidean norms at each instant, ν in the outputs S y per
-    second: |F_2| + ∫ |A21 e^(Ac t) L2| dt, or with M_2, M_1 + L M_2.  Never below the true peak, up to rounding; above it
-    where outputs peak at different times.  Raises Impossible when Ac is not stable.
+    second: |F_2| + ∫ |A21 e^(Ac t) L2| dt, or with M_2, M_1 + L M_2.  Never below the true peak, up to rounding;
+    above it where outputs peak at different times.  Raises Impossible when Ac is not stable.
     """
     Ac, Bc, _ = sliding_motion(canonical, L)
     if (growth := float(np.linalg.eigvals(Ac).real.max())) >= 0:
