@@ -108,7 +108,6 @@ def test_large_gusts_make_a_large_level_and_no_refusal(size):
 def test_the_bound_of_the_injection_covers_disturbances_of_declared_size():
     gusty = replace(AIRCRAFT, disturbances=(Disturbance("gust", {"alpha": 1.0, "q": 0.5}, size=20.0),))
     made = fr.design(gusty, "sliding-mode")
-    Ac, on, kept = motion(made)
     S = made.observer.injections[0].reads
     asked = S[:, : AIRCRAFT.n] @ gusty.E_w * 20.0  # what ψ of its size asks for at once
     assert made.observer.injections[0].bound > np.linalg.norm(asked)
