@@ -81,7 +81,7 @@ class Trial:
         o, plant = self.design.observer, self.plant
         size = np.array([f.size for f in plant.faults])
         if not o.injections:
-            rest = np.eye(len(o.A)) - o.A if plant.sample_time is not None else -o.A
+            rest = np.eye(len(o.A)) - o.A if o.sample_time is not None else -o.A
             gain = o.Cf @ np.linalg.solve(rest, o.B[:, o.inputs :] @ o.F) + o.Df[:, o.inputs :] @ o.F
             return gain * size / size[:, None]
         h = 12.0 / float(np.abs(np.real(o.poles)).min()) / SETTLING
