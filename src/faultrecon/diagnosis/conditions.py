@@ -207,11 +207,11 @@ def _unknown_inputs(plant: Plant) -> tuple[Array, Array, Array, Array]:
         plant.A,
         np.hstack([decoupled_into(plant), plant.E_f]),
         plant.C,
-        np.hstack([decoupled_onto(plant), plant.F_f + plant.D @ _commands(plant)]),
+        np.hstack([decoupled_onto(plant), plant.F_f + plant.D @ commands(plant)]),
     )
 
 
-def _commands(plant: Plant) -> Array:
+def commands(plant: Plant) -> Array:
     """Actuator faults onto the inputs, (m, q): they reach the measurements through D as well."""
     out = np.zeros((len(plant.signals.u), len(plant.faults)))
     for j, f in enumerate(plant.faults):

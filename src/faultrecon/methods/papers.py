@@ -40,3 +40,13 @@ TAN_2002 = Paper(
     "Automatica 38(10), 1815-1821",
     "10.1016/S0005-1098(02)00098-5",
 )
+
+JIA_2015 = Paper(
+    "jia2015",
+    "Jia, Q.; Chen, W.; Zhang, Y.; Jiang, Y.",
+    2015,
+    "Robust fault reconstruction in discrete-time Lipschitz nonlinear systems via Euler-approximate proportional "
+    "integral observers",
+    "Mathematical Problems in Engineering 2015, 741702",
+    "10.1155/2015/741702",
+)

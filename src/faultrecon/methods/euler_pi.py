@@ -1,0 +1,317 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Proportional-integral observers for sampled Lipschitz plants, with disturbances decoupled [Jia et al. 2015].
+
+Read it with the paper: Q. Jia, W. Chen, Y. Zhang, Y. Jiang, "Robust fault reconstruction in discrete-time Lipschitz
+nonlinear systems via Euler-approximate proportional integral observers", Mathematical Problems in Engineering 2015,
+741702.  The public text of the paper lacks its equations, so every formula is derived anew; the structure is the paper's.
+
+    paper        here                         plant
+    x            x_a = [x; f_s]               states, and sensor faults as further states
+    D₁, D₂       E_w W, by role               "decouple" and "attenuate"
+    J, H         J = I - H C, J Φ₁ D₁ = 0     oblique projector with kernel Φ₁ D₁ and no more
+    Φ_T          x + T Φ₁ (A x + ...)         Φ₁ = I: Euler; Φ₁ = (1/T) ∫ e^(As) ds: exact while φ and f are held
+    L, F         T L, T F                     gains per second, so that they hardly depend on T
+    γ₁, γ₂, γ₃   of d₂, η, f'                 in declared sizes, standard deviations, declared rates
+
+    x̂_k = J z_k + H (y_k - D u_k),  r_k = y_k - C x̂_k - D u_k,  z_{k+1} = Φ_T(x̂_k, u_k, f̂_k) + T L r_k,  f̂_{k+1} = f̂_k + T F r_k
+
+z is the whole prediction, so that J z + H y is the paper's "z + H y", and a sample that never came is z itself.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from faultrecon.diagnosis.limits import Floor
+from faultrecon.finding import Finding, InputError
+from faultrecon.graph.observer import CopiedTerm, NonlinearTerm, Observer
+from faultrecon.lmi.expr import Expr, I, __, let, sym, unknown
+from faultrecon.methods.base import Assumed, Identity, Method, Scaling, Theorem, deviations, lipschitz_premises
+from faultrecon.methods.papers import JIA_2015
+from faultrecon.methods.sampled_conditions import sampled_findings, unstructured
+from faultrecon.methods.sampled_letters import (
+    Channels,
+    SampledLetters,
+    augmented,
+    averaged,
+    held_model,
+    noise_weighted_inverse,
+    sampled_letters,
+)
+from faultrecon.plant.plant import Plant
+
+Array = NDArray[np.float64]
+
+
+class EulerPi(Method):
+    """The reduced inequality in delta form: multiplier and levels joint unknowns, one sample of noise per step."""
+
+    name = "euler-pi"
+    summary = "sampled proportional-integral observer, disturbances decoupled; actuator and sensor faults, Lipschitz plants"
+    paper = JIA_2015
+    sampled = True
+    every_shorter: ClassVar[bool] = False
+    """Whether the model at T is also that at every shorter T, so that one proof covers them all."""
+
+    def __init__(self, sample_time: float | None = None) -> None:
+        self.sample_time = sample_time
+
+    def sampling(self, values: Mapping[str, Any]) -> Method:
+        """The same method for the sample time T among `values`, where there is one."""
+        if "T" not in values:
+            return self
+        try:
+            T = float(np.asarray(values["T"], dtype=float).item())
+        except (TypeError, ValueError):
+            T = math.nan
+        if not (math.isfinite(T) and T > 0):
+            raise InputError(f"the sample time T is {values['T']!r:.40}", why="it is a positive number of seconds")
+        return type(self)(T)
+
+    def assumptions(self, plant: Plant) -> list[Finding]:
+        """A continuous plant with additive faults, rank(C D₁) = q₁, no zero outside the circle, a constant fault seen."""
+        return sampled_findings(plant, self.sample_time)
+
+    def unsolvable(self, plant: Plant) -> Finding | None:
+        """What to do about a Lipschitz bound that no observer can live with."""
+        return unstructured(self, plant)
+
+    def floor(self, plant: Plant) -> Floor | None:
+        """None is known for the sampled error system."""
+        return None
+
+    # ------------------------------------------------------------ model and decoupling
+
+    def time(self, plant: Plant) -> float:
+        """T in s: as asked for, else the time for which a noise sample is held."""
+        if self.sample_time is not None:
+            return self.sample_time
+        assert plant.noise is not None, "the assumptions ask for it"
+        return plant.noise.hold
+
+    def model(self, plant: Plant, T: float) -> Array:
+        """Φ₁ (n, n): how everything that is held over a sample time moves the state."""
+        return averaged(plant, T)
+
+    def left_inverse(self, plant: Plant, CD: Array) -> Array:
+        """M with M C D₁ = I."""
+        return noise_weighted_inverse(plant, CD)
+
+    def decoupling(self, plant: Plant, Φ1: Array) -> Array:
+        """H (n+s, p) = D₁ M for the D₁ of the same model: J = I - H C then has kernel D₁ and loses nothing else."""
+        D1, C = augmented(plant)
+        D1[: plant.n] = Φ1 @ D1[: plant.n]
+        return D1 @ self.left_inverse(plant, C @ D1) if D1.shape[1] else np.zeros((len(D1), plant.p))
+
+    # ------------------------------------------------------------ the theorem
+
+    def theorem(self, plant: Plant, scaling: Scaling) -> Theorem:
+        """The reduced inequality for this plant."""
+        return self.theorem_reduced(plant, scaling)
+
+    # fmt: off
+    def theorem_reduced(self, plant: Plant, scaling: Scaling) -> Theorem:
+        """V = ζ'Pζ shrinks by 1 - 2αT per sample, but for T (w'Γw - |z|²); its last row times √T, so that T is exact.
+
+        Size 2 N + m_φ + n_w.  T enters through T (.)'P⁻¹(.) alone: what holds at T holds at every shorter T.
+        """
+        T0 = self.time(plant)
+        Φ0 = self.model(plant, T0)
+        H0 = self.decoupling(plant, Φ0)
+        m = sampled_letters(plant, scaling, H0, fault_rates(plant))
+        T, α, c_x, λ = m.gains["T"], unknown("α"), unknown("c_x"), unknown("λ")
+        P, Y = unknown("P", m.nz, m.nz, symmetric=True), unknown("Y", m.nz, plant.p)
+        level, γ = unknown("γ²"), unknown("γ")
+        levels = [unknown(f"γ{k}²") for k in "₁₂₃"]
+        Γ  = let("Γ", _sum([g*(J@J.T) for g, J in zip(levels, m.parts, strict=True) if J.shape[1]]))
+        X, Z = let("X", P@m.A - Y@m.C), let("Z", P@m.Ew - Y@m.Fw)
+        PB = let("P B_r", P@m.Bφ)
+        Λ  = let("λℓ²", λ*m.α**2)
+        Cz = let("C_z'C_z", m.faults.T@m.faults + c_x**2*(m.states.T@m.states))
+        lmi = sym([[ X + X.T + 2*α*P + Cz + Λ*(m.R.T@m.R),  PB                , Z + Λ*(m.R.T@m.Rw)   ,  T*X.T  ],
+                   [ __                                  , -λ*I(PB.shape[1])  , 0                    ,  T*PB.T ],
+                   [ __                                  ,  __                , -Γ + Λ*(m.Rw.T@m.Rw) ,  T*Z.T  ],
+                   [ __                                  ,  __                ,  __                  , -T*P    ]]) < 0
+        weighed = [unknown(f"c{k}")*g for k, g, J in zip("₁₂₃", levels, m.parts, strict=True) if J.shape[1]]
+        return Theorem(
+            "4.2",
+            [lmi.tagged("(4.2)"), (P > 0).tagged("P > 0"), *([(λ > 0).tagged("λ > 0")] if PB.shape[1] else []),
+             ((level - _sum(weighed)) > 0).tagged("γ² > c₁γ₁² + c₂γ₂² + c₃γ₃²")],
+            minimise=level,
+            gains=self.ships(m, P, Y) | {m.gains[k]: m.gains[k] for k in ("T", "H", "Φ₁")},
+            prove_with={Y: P@m.K, level: γ**2},
+            lyapunov=P, drift=X, readout=m.faults, noise=P@m.Ew@m.parts[1] - Y@m.Fw@m.parts[1], mildest=levels[1],
+            criterion="of the gains at this level those with the least γ₂, that of the noise",
+            identities=[*m.identities, *self.model_identities(plant, scaling, m.gains, T0)],
+            premises=[*lipschitz_premises(plant), *self.premises(plant)],
+            claim=self.claim(plant), scope=self.scope(plant),
+            fixed={"T": T0, "H": H0, "Φ₁": Φ0} | held_fixed(plant, m), bases=("S", "S⁻¹", "S_f", "S_f⁻¹", "W", *BASES),
+        )
+
+    def ships(self, m: SampledLetters, P: Expr, Y: Expr) -> dict[Expr, Expr]:
+        """L and F per second in canonical form K (I - C H): the direction that never acts is taken out."""
+        state, fault, back = m.ship
+        return {m.gains["L"]: state@P.inv()@Y@back, m.gains["F"]: fault@P.inv()@Y@back}
+    # fmt: on
+
+    def model_identities(self, plant: Plant, scaling: Scaling, gains: Mapping[str, Expr], T: float) -> tuple[Identity, ...]:
+        """That Φ₁ is what it is said to be."""
+        return held_model(plant, scaling, gains, T)
+
+    def premises(self, plant: Plant) -> list[Assumed]:
+        """What else is taken for granted; nothing here."""
+        return []
+
+    def claim(self, plant: Plant) -> str:
+        """What is guaranteed, in the letters of the certificate."""
+        counted = ["γ₁² |d|²"] if any(d.role == "attenuate" for d in plant.attenuated) else []
+        counted += ["γ₂² |η|²", "γ₃² |f'|²"]
+        return (
+            f"T Σ (|f - f̂|² + c_x² |x - x̂ - H ν|²) ≤ T Σ ({' + '.join(counted)}) + V(ζ(0)) on every horizon, where"
+            " c₁ γ₁² + c₂ γ₂² + c₃ γ₃² < γ², in declared sizes, standard deviations of the noise and declared rates;"
+            " V falls by 2 α T per sample without them; decoupled disturbances do not enter"
+        )
+
+    def scope(self, plant: Plant) -> str:
+        """What the guarantee covers, and what it does not."""
+        return f"covers the sampled loop {self.covers} in exact arithmetic with these gains{_for_which_phi(plant)}"
+
+    covers: ClassVar[str] = (
+        "at the sample time T, for the plant that is exact while u, φ, f and the disturbances are held over a sample time:"
+        " it does not cover how φ, f and they move in between;"
+    )
+
+    # ------------------------------------------------------------ the observer
+
+    def observer(self, plant: Plant, gains: Mapping[str, Array]) -> Observer:
+        """The equations above; the observer's state is [z; f̂_a]."""
+        return assembled(plant, gains)
+
+    def notes(self, plant: Plant, gains: Mapping[str, Array]) -> tuple[str, ...]:
+        """The sample time, and how fast the error falls where the nonlinearity adds nothing."""
+        poles = np.abs(self.observer(plant, gains).poles)
+        return (f"made for a sample every {gains['T'].item():g} s; spectral radius {poles.max():.6g} per sample (φ' = 0)",)
+
+
+BASES = tuple(f"Φ_{2**j}" for j in range(1, 40))
+
+
+def assembled(plant: Plant, gains: Mapping[str, Array]) -> Observer:
+    """The observer with the predictor x + T Φ₁ (A x + B u + B_φ φ + g + E f)."""
+    own, n, (p, m) = Channels.of(plant), plant.n, plant.D.shape
+    T, H, Φ1 = float(gains["T"].item()), gains["H"], gains["Φ₁"]
+    ns, r = own.sensor.shape[1], own.actuator.shape[1]
+    na = n + ns
+    C = np.hstack([plant.C, plant.F_f @ own.sensor])
+    move = T * np.vstack([Φ1, np.zeros((ns, n))])  # what ẋ does to x_a in one sample time, (na, n)
+    K = T * np.vstack([gains["L"], gains["F"]])
+    Cx = np.hstack([np.eye(na) - H @ C, np.zeros((na, r))])  # x̂_a = Cx z + H (y - D u)
+    Dx = np.hstack([-H @ plant.D, H])
+    step = np.eye(na) + move @ plant.A @ np.eye(n, na)
+    moved = np.vstack([step, np.zeros((r, na))])
+    back = np.eye(p) - C @ H
+    A = moved @ Cx - K @ C @ Cx
+    A[:na, na:] += move @ plant.E_f @ own.actuator
+    A[na:, na:] += np.eye(r)
+    B = moved @ Dx + np.hstack([-K @ back @ plant.D, K @ back])
+    B[:na, :m] += move @ plant.B
+    point = deviations(plant)
+    nonlinear, copied = point.pop("nonlinear"), point.pop("copied")
+    if nonlinear is not None:
+        into = np.vstack([move @ nonlinear.into, np.zeros((r, nonlinear.into.shape[1]))])
+        reads = nonlinear.reads @ np.eye(n, na)
+        ends = nonlinear.offset, nonlinear.lower, nonlinear.upper
+        nonlinear = NonlinearTerm(into, reads @ Cx, *ends, nonlinear.phi, reads @ Dx)
+    if copied is not None:
+        copied = CopiedTerm(np.vstack([move @ copied.into, np.zeros((r, copied.into.shape[1]))]), copied.g)
+    faults = own.sensor @ np.eye(ns, na, n)
+    return Observer(
+        A=A,
+        B=B,
+        Cx=Cx[:n],
+        Dx=Dx[:n],
+        Cf=faults @ Cx + np.hstack([np.zeros((len(faults), na)), own.actuator]),
+        Df=faults @ Dx,
+        F=plant.F_f,
+        nonlinear=nonlinear,
+        copied=copied,
+        sample_time=T,
+        prior=np.eye(n, na + r),
+        **point,
+    )
+
+
+class EulerPiEuler(EulerPi):
+    """The paper's own mode: Φ₁ = I and M = (C D₁)⁺.  One proof at T covers every shorter T, for Euler's model."""
+
+    name = "euler-pi-euler"
+    summary = "euler-pi with the paper's Euler model; one certificate for every shorter sample time"
+    variant_of = "euler-pi"
+    every_shorter = True
+    covers = (
+        "at every sample time up to T, for Euler's model of the plant: it does not cover the difference between that"
+        " model and the plant, which is of the order of T;"
+    )
+
+    def model(self, plant: Plant, T: float) -> Array:
+        """The identity."""
+        return np.eye(plant.n)
+
+    def left_inverse(self, plant: Plant, CD: Array) -> Array:
+        """That of least norm, in the units of the sensors."""
+        return np.linalg.pinv(CD)
+
+    def model_identities(self, plant: Plant, scaling: Scaling, gains: Mapping[str, Expr], T: float) -> tuple[Identity, ...]:
+        """There is nothing to show."""
+        return ()
+
+
+def fault_rates(plant: Plant) -> Array:
+    """What one unit of ḟ is, per fault: its declared rate, else its size in a second."""
+    return np.array([f.rate if math.isfinite(f.rate) else f.size for f in plant.faults])
+
+
+STATE_WEIGHT = 0.1
+"""Of the state error, in declared ranges, against the fault error, in declared sizes: without it gains drift off."""
+NOISE_WEIGHT = 100.0
+"""c₂ over c₁ and c₃.  A disturbance sits at one frequency, held noise at all of them up to 1/(2T)."""
+
+
+def held_fixed(plant: Plant, m: SampledLetters) -> dict[str, Any]:
+    """What is chosen before the program: decay rate, weights, and λ where there is no nonlinearity."""
+    fixed: dict[str, Any] = {"α": decay_rate(plant), "c_x": STATE_WEIGHT}
+    fixed |= {f"c{k}": c for k, c, J in zip("₁₂₃", (1.0, NOISE_WEIGHT, 1.0), m.parts, strict=True) if J.shape[1]}
+    return fixed if m.Bφ.shape[1] else fixed | {"λ": 1.0}
+
+
+def decay_rate(plant: Plant) -> float:
+    """α in 1/s that every plant allows: a quarter of its slowest mode that moves, half of the slowest fixed zero."""
+    from faultrecon.diagnosis.conditions import minimum_phase
+
+    rates = np.abs(np.linalg.eigvals(plant.A))
+    rates = rates[rates > 1e-9 * rates.max(initial=0.0)]
+    slowest = 0.25 * float(rates.min()) if rates.size else 0.25
+    zero = minimum_phase(plant).where
+    return slowest if zero is None else min(slowest, -0.5 * zero.real)
+
+
+def _sum(terms: list[Expr]) -> Expr:
+    total = terms[0]
+    for term in terms[1:]:
+        total = total + term
+    return total
+
+
+def _for_which_phi(plant: Plant) -> str:
+    text = ""
+    if plant.nonlinearity is not None:
+        text += f" for a Lipschitz constant up to {plant.nonlinearity.constant:.9g}"
+        if plant.nonlinearity.domain:
+            box = ", ".join(f"{k} in [{a:g}, {b:g}]" for k, (a, b) in plant.nonlinearity.domain.items())
+            text += f" while the plant stays in {box}"
+    return text + "; does not cover rounding at run time, missing samples, or a plant that differs from the model"

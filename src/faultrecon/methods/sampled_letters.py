@@ -1,0 +1,219 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""What the sampled proportional-integral observers are made of: the decoupling, the discretised model, their letters.
+
+The plant is augmented by its sensor faults, x_a = [x; f_s], which only their unknown rate moves, so that sensor and
+actuator faults are reconstructed by one observer.  Disturbances with role "decouple" are D₁, the attenuated ones D₂.
+
+    x_a⁺ = x_a + T Φ₁ (A x_a + B u + B_φ φ(H_φ x_a) + E f_a + D₁ d₁ + D₂ d₂) + T [0; f_s']       y = C x_a + D u + F₂ d₂ + N η
+
+Φ₁ = I is Euler's model, Φ₁ = (1/T) ∫ e^(As) ds the one that is exact while everything but x is held over a sample time.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from faultrecon.lmi.expr import Expr, I, as_expr, given, let, unknown
+from faultrecon.methods.base import Identity, Scaling
+from faultrecon.plant.plant import Plant
+
+Array = NDArray[np.float64]
+
+ROUNDING = 2.0**-40
+"""Decoupling, bases and the discretised model hold to rounding, far below this, in scaled units."""
+TERMS = 16
+"""Of the series of Φ₁ at |A T| <= 1: the rest is below 1/17! = 3e-15, and 16! is an exact double."""
+
+
+@dataclass(frozen=True, eq=False)
+class Channels:
+    """The plant's channels sorted by what the observer does with them; columns of selection matrices.
+
+    sensor (q, s), actuator (q, r): which faults; decouple, attenuate (l, .): which counted disturbances.
+    """
+
+    sensor: Array
+    actuator: Array
+    decouple: Array
+    attenuate: Array
+
+    @staticmethod
+    def of(plant: Plant) -> Channels:
+        """Sorted by site and by role."""
+        on_sensor = [f.site == "sensor" for f in plant.faults]
+        decoupled = [d.role == "decouple" for d in plant.attenuated]
+        q, l = np.eye(len(on_sensor)), np.eye(len(decoupled))
+        pick = lambda M, mask: M[:, np.array(mask, dtype=bool)]  # noqa: E731 - four uses on the next line
+        return Channels(
+            pick(q, on_sensor), pick(q, [not s for s in on_sensor]), pick(l, decoupled), pick(l, [not d for d in decoupled])
+        )
+
+
+def augmented(plant: Plant) -> tuple[Array, Array]:
+    """D₁ (n+s, q₁) of what is decoupled, in declared sizes, and C (p, n+s) of the augmented plant, in floating point."""
+    own, w = Channels.of(plant), plant.letters()["W"]
+    D1 = plant.E_w @ w @ own.decouple
+    return np.vstack([D1, np.zeros((own.sensor.shape[1], D1.shape[1]))]), np.hstack([plant.C, plant.F_f @ own.sensor])
+
+
+def noise_weighted_inverse(plant: Plant, CD: Array) -> Array:
+    """M with M C D₁ = I and the least noise in M y: (CD' R⁻¹ CD)⁻¹ CD' R⁻¹, R the variances of the sensors."""
+    R = np.ones(plant.p) if plant.noise is None else np.square(plant.noise.sd)
+    if not R.all():  # a sensor without noise would take all the weight, and its small errors with it
+        R = np.where(R > 0, R, R[R > 0].min(initial=1.0))
+    weighted = CD.T / R
+    return np.linalg.solve(weighted @ CD, weighted)
+
+
+def averaged(plant: Plant, T: float) -> Array:
+    """Φ₁ = (1/T) ∫₀ᵀ e^(As) ds, (n, n)."""
+    from faultrecon.numerics.discretise import zoh
+
+    return zoh(plant.A, np.eye(plant.n), T)[1] / T
+
+
+@dataclass(frozen=True, eq=False)
+class SampledLetters:
+    """The letters of the reduced error system in scaled units: ζ = [ε; e_f], e = W ε - H ν, ν = F₂ d₂ + N η.
+
+    A, B_phi, C, R: of ζ;  E_w, F_w, R_w: of w = [d₂; η; ḟ];  faults, states: what is counted as error, of ζ.
+    inputs: width of each part of w.  K: from what ships to [W'L; F].  ship: from K to what ships.  gains: what ships, by letter.
+    """
+
+    nz: int
+    inputs: tuple[int, int, int]
+    parts: tuple[Expr, Expr, Expr]
+    A: Expr
+    Bφ: Expr
+    C: Expr
+    R: Expr
+    Ew: Expr
+    Fw: Expr
+    Rw: Expr
+    faults: Expr
+    states: Expr
+    α: Expr
+    K: Expr
+    ship: tuple[Expr, Expr, Expr]
+    gains: dict[str, Expr]
+    identities: tuple[Identity, ...]
+
+
+def gains_of(plant: Plant) -> dict[str, Expr]:
+    """The letters that ship: T in s, H and Φ₁ of the model, L and F per second."""
+    na, r = plant.n + Channels.of(plant).sensor.shape[1], Channels.of(plant).actuator.shape[1]
+    return {
+        "T": unknown("T"),
+        "H": unknown("H", na, plant.p),
+        "Φ₁": unknown("Φ₁", plant.n, plant.n),
+        "L": unknown("L", na, plant.p),
+        "F": unknown("F", r, plant.p),
+    }
+
+
+# fmt: off
+def sampled_letters(plant: Plant, scaling: Scaling, H0: Array, rates: Array) -> SampledLetters:
+    """The letters for a decoupling H0 (n+s, p), in declared sizes; rates (q,): what one unit of ḟ is."""
+    own, n, p = Channels.of(plant), plant.n, plant.p
+    s = {k: given(f"plant.{k}", v) for k, v in plant.letters().items()}
+    (_, ns), r = own.sensor.shape, own.actuator.shape[1]
+    na = n + ns
+    size = [f.size for f in plant.faults]
+    x = np.concatenate([np.exp2(scaling.state.astype(float)), _near(own.sensor.T @ size)])
+    a = _near(own.actuator.T @ size)
+    S, Si, Sf, Sfi = (given(k, np.diag(v).reshape(2*(len(v),))) for k, v in (("S", x), ("S⁻¹", 1/x), ("S_f", a), ("S_f⁻¹", 1/a)))
+    Jx, Js = given("J_x", np.eye(na, n)), given("J_s", np.eye(na, ns, -n))
+    Qs, Qa = given("Q_s", own.sensor), given("Q_a", own.actuator)
+    Q1, Q2 = given("Q_1", own.decouple), given("Q_2", own.attenuate)
+    ship = gains_of(plant)
+
+    C  = let("C_a", (s["C"]@Jx.T + s["F_f"]@Qs@Js.T)@S)
+    H  = let("H_s", Si@ship["H"])
+    J  = let("J", I(na) - H@C)
+    Φ  = let("Φ_a", Si@(Jx@ship["Φ₁"]@Jx.T + Js@Js.T)@S)
+    W0 = range_of((np.eye(na) - H0@augmented(plant)[1]) * x / x[:, None], na - own.decouple.shape[1])
+    W  = given("W", W0)
+    nε = W0.shape[1]
+    nz = nε + r
+    Jε, Jf = given("J_ε", np.eye(nz, nε)), given("J_f", np.eye(nz, r, -nε))
+    Π  = let("Π", W.T@J@Φ)                                                     # what moves x_a moves ε by Π times it
+    A, G = let("A_a", Si@Jx@s["A"]@Jx.T@S), Si@Jx@s["G"]
+    D1, D2 = Si@Jx@s["E_w"]@s["W"]@Q1, Si@Jx@s["E_w"]@s["W"]@Q2
+    Hφ = s["H"]@Jx.T@S
+
+    widths = own.attenuate.shape[1], p, len(plant.faults)
+    parts = tuple(given(f"J_{i + 1}", np.eye(sum(widths), w, -sum(widths[:i]))) for i, w in enumerate(widths))
+    J1, J2, J3 = parts
+    N  = given("N", np.diag(np.zeros(p) if plant.noise is None else plant.noise.sd))
+    ν  = let("ν", s["F_w"]@s["W"]@Q2@J1.T + N@J2.T)
+    Θ  = given("Θ", np.diag(rates).reshape(2*(len(size),)))
+    ranges = np.array(plant.signals.x.ranges)
+    Ω  = given("Ω", np.diag(1 / np.where(np.isfinite(ranges) & (ranges > 0), ranges, 1.0)))
+    M  = W.T@J@Si@ship["L"]
+    back = let("I - CH", I(p) - C@H)
+    return SampledLetters(
+        nz, widths, parts,
+        A=let("A_r", Jε@(Π@A@W)@Jε.T + Jε@(Π@Si@Jx@s["E_f"]@Qa@Sf)@Jf.T),
+        Bφ=let("B_r", Jε@(Π@G)),
+        C=let("C_r", C@W@Jε.T),
+        R=let("R_ζ", Hφ@W@Jε.T),
+        Ew=let("E_r", Jε@(Π@(D2@J1.T - A@H@ν)) + Jε@(Π@Si@Js@Qs.T@Θ@J3.T) + Jf@(Sfi@Qa.T@Θ@J3.T)),
+        Fw=let("F_r", back@ν),
+        Rw=let("R_w", -(Hφ@H@ν)),
+        faults=let("C_f", s["V"]@(Qa@Sf@Jf.T + Qs@Js.T@S@W@Jε.T)),
+        states=let("C_x", Ω@Jx.T@S@W@Jε.T),
+        α=s["α"],
+        K=let("K", Jε@M + Jf@(Sfi@ship["F"])),
+        ship=(S@W@Jε.T, Sf@Jf.T, back),
+        gains=ship,
+        identities=(
+            Identity("S S⁻¹ = I", S@Si - I(na)),
+            Identity("S_f S_f⁻¹ = I", Sf@Sfi - I(r)),
+            Identity("J Φ₁ D₁ = 0: what is decoupled does not reach the error", J@Φ@D1, ROUNDING),
+            Identity("J H = 0", J@H, ROUNDING),
+            Identity("Wᵀ J W = I", W.T@J@W - I(nε), ROUNDING),
+            Identity("W Wᵀ J = J: W spans what is left", W@W.T@J - J, ROUNDING),
+            *([Identity("no sensor fault is read through H", Js.T@H, ROUNDING)] if ns else []),
+        ),
+    )
+# fmt: on
+
+
+def held_model(plant: Plant, scaling: Scaling, ship: Mapping[str, Expr], T: float) -> tuple[Identity, ...]:
+    """Φ₁ is (1/T) ∫ e^(As) ds of the T that ships: by its Taylor series at |A T| ≤ 1, else by doubling from there."""
+    x = np.exp2(scaling.state.astype(float))
+    n = plant.n
+    S, Si = given("S_x", np.diag(x)), given("S_x⁻¹", np.diag(1 / x))
+    X = let("A_T", ship["T"] * (Si @ given("plant.A", plant.A) @ S))
+    norm = float(np.linalg.norm(plant.A * x / x[:, None], 1)) * T
+    halvings = max(0, math.ceil(math.log2(norm))) if norm > 0 else 0
+    Φ = [let("Φ", Si @ ship["Φ₁"] @ S)]
+    Φ += [given(f"Φ_{2**j}", averaged(plant, T / 2**j) * x / x[:, None]) for j in range(1, halvings + 1)]
+    found = [Identity("S_x S_x⁻¹ = I", S @ Si - I(n))]
+    for j in range(halvings):
+        half = Φ[j + 1]
+        doubled = half @ (I(n) + as_expr(2.0 ** -(j + 2)) * (X @ half))
+        found.append(Identity(f"Φ₁ of T/{2**j} is that of half as much, doubled", Φ[j] - doubled, ROUNDING))
+    Y, series = let("Ξ", as_expr(2.0**-halvings) * X), I(n)
+    for k in range(TERMS - 1, 0, -1):
+        series = Y @ series + as_expr(float(math.factorial(TERMS) // math.factorial(k))) * I(n)
+    whole = as_expr(float(math.factorial(TERMS)))
+    scale = as_expr(2.0 ** -math.floor(math.log2(math.factorial(TERMS))))  # 1/16! is no dyadic number, this nearly is
+    label = "Φ₁ = (1/T) ∫ e^(As) ds by 16 terms of its series, the rest below 3e-15"
+    return (*found, Identity(label, scale * (whole * Φ[-1] - series), ROUNDING))
+
+
+def range_of(J: Array, rank: int) -> Array:
+    """An orthonormal basis (n, rank) of the range of J; the identity where J has full rank."""
+    if rank == len(J):
+        return np.eye(rank)
+    return np.ascontiguousarray(np.linalg.svd(J)[0][:, :rank])
+
+
+def _near(sizes: Array) -> Array:
+    return np.exp2(np.rint(np.log2(sizes))) if len(sizes) else np.zeros(0)
