@@ -29,13 +29,12 @@ from numpy.typing import NDArray
 
 from faultrecon.diagnosis.limits import Floor
 from faultrecon.finding import Finding, InputError
-from faultrecon.graph.observer import CopiedTerm, NonlinearTerm, Observer
+from faultrecon.graph.observer import Observer
 from faultrecon.lmi.expr import Expr, I, __, let, sym, unknown
-from faultrecon.methods.base import Assumed, Identity, Method, Scaling, Theorem, deviations, lipschitz_premises
+from faultrecon.methods.base import Assumed, Identity, Method, Scaling, Theorem, lipschitz_premises
 from faultrecon.methods.papers import JIA_2015
 from faultrecon.methods.sampled_conditions import sampled_findings, unstructured
 from faultrecon.methods.sampled_letters import (
-    Channels,
     SampledLetters,
     augmented,
     averaged,
@@ -43,6 +42,7 @@ from faultrecon.methods.sampled_letters import (
     noise_weighted_inverse,
     sampled_letters,
 )
+from faultrecon.methods.sampled_prediction import Prediction, assembled, runge_kutta
 from faultrecon.plant.plant import Plant
 
 Array = NDArray[np.float64]
@@ -52,7 +52,9 @@ class EulerPi(Method):
     """The reduced inequality in delta form: multiplier and levels joint unknowns, one sample of noise per step."""
 
     name = "euler-pi"
-    summary = "sampled proportional-integral observer, disturbances decoupled; actuator and sensor faults, Lipschitz plants"
+    summary = (
+        "sampled proportional-integral observer, disturbances decoupled; actuator and sensor faults, Lipschitz plants"
+    )
     paper = JIA_2015
     sampled = True
     every_shorter: ClassVar[bool] = False
@@ -159,7 +161,9 @@ class EulerPi(Method):
         return {m.gains["L"]: state@P.inv()@Y@back, m.gains["F"]: fault@P.inv()@Y@back}
     # fmt: on
 
-    def model_identities(self, plant: Plant, scaling: Scaling, gains: Mapping[str, Expr], T: float) -> tuple[Identity, ...]:
+    def model_identities(
+        self, plant: Plant, scaling: Scaling, gains: Mapping[str, Expr], T: float
+    ) -> tuple[Identity, ...]:
         """That Φ₁ is what it is said to be."""
         return held_model(plant, scaling, gains, T)
 
@@ -190,60 +194,17 @@ class EulerPi(Method):
 
     def observer(self, plant: Plant, gains: Mapping[str, Array]) -> Observer:
         """The equations above; the observer's state is [z; f̂_a]."""
-        return assembled(plant, gains)
+        return assembled(plant, gains, Prediction(gains["Φ₁"]))
 
     def notes(self, plant: Plant, gains: Mapping[str, Array]) -> tuple[str, ...]:
         """The sample time, and how fast the error falls where the nonlinearity adds nothing."""
         poles = np.abs(self.observer(plant, gains).poles)
-        return (f"made for a sample every {gains['T'].item():g} s; spectral radius {poles.max():.6g} per sample (φ' = 0)",)
+        return (
+            f"made for a sample every {gains['T'].item():g} s; spectral radius {poles.max():.6g} per sample (φ' = 0)",
+        )
 
 
 BASES = tuple(f"Φ_{2**j}" for j in range(1, 40))
-
-
-def assembled(plant: Plant, gains: Mapping[str, Array]) -> Observer:
-    """The observer with the predictor x + T Φ₁ (A x + B u + B_φ φ + g + E f)."""
-    own, n, (p, m) = Channels.of(plant), plant.n, plant.D.shape
-    T, H, Φ1 = float(gains["T"].item()), gains["H"], gains["Φ₁"]
-    ns, r = own.sensor.shape[1], own.actuator.shape[1]
-    na = n + ns
-    C = np.hstack([plant.C, plant.F_f @ own.sensor])
-    move = T * np.vstack([Φ1, np.zeros((ns, n))])  # what ẋ does to x_a in one sample time, (na, n)
-    K = T * np.vstack([gains["L"], gains["F"]])
-    Cx = np.hstack([np.eye(na) - H @ C, np.zeros((na, r))])  # x̂_a = Cx z + H (y - D u)
-    Dx = np.hstack([-H @ plant.D, H])
-    step = np.eye(na) + move @ plant.A @ np.eye(n, na)
-    moved = np.vstack([step, np.zeros((r, na))])
-    back = np.eye(p) - C @ H
-    A = moved @ Cx - K @ C @ Cx
-    A[:na, na:] += move @ plant.E_f @ own.actuator
-    A[na:, na:] += np.eye(r)
-    B = moved @ Dx + np.hstack([-K @ back @ plant.D, K @ back])
-    B[:na, :m] += move @ plant.B
-    point = deviations(plant)
-    nonlinear, copied = point.pop("nonlinear"), point.pop("copied")
-    if nonlinear is not None:
-        into = np.vstack([move @ nonlinear.into, np.zeros((r, nonlinear.into.shape[1]))])
-        reads = nonlinear.reads @ np.eye(n, na)
-        ends = nonlinear.offset, nonlinear.lower, nonlinear.upper
-        nonlinear = NonlinearTerm(into, reads @ Cx, *ends, nonlinear.phi, reads @ Dx)
-    if copied is not None:
-        copied = CopiedTerm(np.vstack([move @ copied.into, np.zeros((r, copied.into.shape[1]))]), copied.g)
-    faults = own.sensor @ np.eye(ns, na, n)
-    return Observer(
-        A=A,
-        B=B,
-        Cx=Cx[:n],
-        Dx=Dx[:n],
-        Cf=faults @ Cx + np.hstack([np.zeros((len(faults), na)), own.actuator]),
-        Df=faults @ Dx,
-        F=plant.F_f,
-        nonlinear=nonlinear,
-        copied=copied,
-        sample_time=T,
-        prior=np.eye(n, na + r),
-        **point,
-    )
 
 
 class EulerPiEuler(EulerPi):
@@ -264,11 +225,33 @@ class EulerPiEuler(EulerPi):
 
     def left_inverse(self, plant: Plant, CD: Array) -> Array:
         """That of least norm, in the units of the sensors."""
-        return np.linalg.pinv(CD)
+        return np.asarray(np.linalg.pinv(CD), dtype=float)
 
-    def model_identities(self, plant: Plant, scaling: Scaling, gains: Mapping[str, Expr], T: float) -> tuple[Identity, ...]:
+    def model_identities(
+        self, plant: Plant, scaling: Scaling, gains: Mapping[str, Expr], T: float
+    ) -> tuple[Identity, ...]:
         """There is nothing to show."""
         return ()
+
+
+class EulerPiRk4(EulerPi):
+    """Gains, decoupling and certificate of euler-pi; the prediction is a Runge-Kutta step in which φ moves with x."""
+
+    name = "euler-pi-rk4"
+    summary = "euler-pi with a Runge-Kutta prediction, for strong nonlinearities; its increment is checked, not proved"
+    variant_of = "euler-pi"
+
+    def premises(self, plant: Plant) -> list[Assumed]:
+        """What the inequality does not see."""
+        text = (
+            "the prediction is a classical Runge-Kutta step, in which φ moves with x; the inequality is that of the step in"
+            " which it is held, from which it differs by O(T²) per sample: checked in simulation"
+        )
+        return [Assumed("Runge-Kutta increment", text, "checked")]
+
+    def observer(self, plant: Plant, gains: Mapping[str, Array]) -> Observer:
+        """The equations with Φ_T a Runge-Kutta step."""
+        return assembled(plant, gains, runge_kutta(plant, float(gains["T"].item())))
 
 
 def fault_rates(plant: Plant) -> Array:

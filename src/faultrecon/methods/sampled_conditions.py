@@ -61,7 +61,9 @@ def _channels(plant: Plant) -> list[Finding]:
     if decoupled:
         why = "what is decoupled may act on the states alone: a sensor that it reaches is needed to see it"
         remedies = (f'attenuate {decoupled[0]} (role = "attenuate")',)
-        return [Finding(f"'{decoupled[0]}' is to be decoupled and acts on a sensor", why=why, remedies=remedies, see=SEE)]
+        return [
+            Finding(f"'{decoupled[0]}' is to be decoupled and acts on a sensor", why=why, remedies=remedies, see=SEE)
+        ]
     if plant.noise is not None and plant.nonlinearity is not None:
         return _faulty_command(plant, commands)
     return []

@@ -48,9 +48,15 @@ class Channels:
         on_sensor = [f.site == "sensor" for f in plant.faults]
         decoupled = [d.role == "decouple" for d in plant.attenuated]
         q, l = np.eye(len(on_sensor)), np.eye(len(decoupled))
-        pick = lambda M, mask: M[:, np.array(mask, dtype=bool)]  # noqa: E731 - four uses on the next line
+
+        def pick(M: Array, mask: list[bool]) -> Array:
+            return M[:, np.array(mask, dtype=bool)]
+
         return Channels(
-            pick(q, on_sensor), pick(q, [not s for s in on_sensor]), pick(l, decoupled), pick(l, [not d for d in decoupled])
+            pick(q, on_sensor),
+            pick(q, [not s for s in on_sensor]),
+            pick(l, decoupled),
+            pick(l, [not d for d in decoupled]),
         )
 
 
@@ -74,7 +80,7 @@ def averaged(plant: Plant, T: float) -> Array:
     """Φ₁ = (1/T) ∫₀ᵀ e^(As) ds, (n, n)."""
     from faultrecon.numerics.discretise import zoh
 
-    return zoh(plant.A, np.eye(plant.n), T)[1] / T
+    return np.asarray(zoh(plant.A, np.eye(plant.n), T)[1] / T, dtype=float)
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,6 +88,7 @@ class SampledLetters:
     """The letters of the reduced error system in scaled units: ζ = [ε; e_f], e = W ε - H ν, ν = F₂ d₂ + N η.
 
     A, B_phi, C, R: of ζ;  E_w, F_w, R_w: of w = [d₂; η; ḟ];  faults, states: what is counted as error, of ζ.
+    Πx: what a push of the plant's states (n,) does to ζ.
     inputs: width of each part of w.  K: from what ships to [W'L; F].  ship: from K to what ships.  gains: what ships, by letter.
     """
 
@@ -97,6 +104,7 @@ class SampledLetters:
     Rw: Expr
     faults: Expr
     states: Expr
+    Πx: Expr
     α: Expr
     K: Expr
     ship: tuple[Expr, Expr, Expr]
@@ -147,8 +155,7 @@ def sampled_letters(plant: Plant, scaling: Scaling, H0: Array, rates: Array) -> 
     Hφ = s["H"]@Jx.T@S
 
     widths = own.attenuate.shape[1], p, len(plant.faults)
-    parts = tuple(given(f"J_{i + 1}", np.eye(sum(widths), w, -sum(widths[:i]))) for i, w in enumerate(widths))
-    J1, J2, J3 = parts
+    J1, J2, J3 = (given(f"J_{i + 1}", np.eye(sum(widths), w, -sum(widths[:i]))) for i, w in enumerate(widths))
     N  = given("N", np.diag(np.zeros(p) if plant.noise is None else plant.noise.sd))
     ν  = let("ν", s["F_w"]@s["W"]@Q2@J1.T + N@J2.T)
     Θ  = given("Θ", np.diag(rates).reshape(2*(len(size),)))
@@ -157,7 +164,7 @@ def sampled_letters(plant: Plant, scaling: Scaling, H0: Array, rates: Array) -> 
     M  = W.T@J@Si@ship["L"]
     back = let("I - CH", I(p) - C@H)
     return SampledLetters(
-        nz, widths, parts,
+        nz, widths, (J1, J2, J3),
         A=let("A_r", Jε@(Π@A@W)@Jε.T + Jε@(Π@Si@Jx@s["E_f"]@Qa@Sf)@Jf.T),
         Bφ=let("B_r", Jε@(Π@G)),
         C=let("C_r", C@W@Jε.T),
@@ -167,6 +174,7 @@ def sampled_letters(plant: Plant, scaling: Scaling, H0: Array, rates: Array) -> 
         Rw=let("R_w", -(Hφ@H@ν)),
         faults=let("C_f", s["V"]@(Qa@Sf@Jf.T + Qs@Js.T@S@W@Jε.T)),
         states=let("C_x", Ω@Jx.T@S@W@Jε.T),
+        Πx=let("Π_x", Jε@(W.T@J@Si@Jx)),
         α=s["α"],
         K=let("K", Jε@M + Jf@(Sfi@ship["F"])),
         ship=(S@W@Jε.T, Sf@Jf.T, back),
