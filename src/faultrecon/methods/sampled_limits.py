@@ -28,6 +28,8 @@ Array = NDArray[np.float64]
 
 RATES = (0.25, 0.5, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 10.0, 14.0, 20.0, 28.0, 40.0)
 """Decay rates α in 1/s among which the practical bound takes the best."""
+AGES = 1e3
+"""Seconds beyond which no sample time is looked for."""
 INSIDE = 1e-7
 """How far inside each scaled inequality a point has to lie: 100 times the solver's tolerance of 1e-9."""
 
@@ -35,8 +37,37 @@ INSIDE = 1e-7
 def largest_lipschitz(method: EulerPi, plant: Plant, alpha: float = 0.0) -> float | None:
     """The supremum of ℓ for which errors decay at `alpha` (1/s) with every φ that |φ(a) - φ(b)| ≤ ℓ |a - b| allows.
 
-    λ is one without loss, so that ℓ² is an unknown of a linear inequality.  None where the solver cannot tell.
+    None where the solver cannot tell.
     """
+    found = solve(_decay(method, plant, alpha))
+    return float(np.sqrt(max(-found.objective, 0.0))) if found.solved else None
+
+
+def longest_sample_time(method: EulerPi, plant: Plant, alpha: float = 0.0, *, rtol: float = 1e-3) -> float:
+    """The longest T at which errors decay at `alpha` (1/s) with the plant's Lipschitz constant; inf beyond `AGES`.
+
+    By bisection, for models for which what holds at T holds at every shorter one; 0 where nothing holds.
+    """
+    squared = 0.0 if plant.nonlinearity is None else plant.nonlinearity.constant**2
+
+    def holds(T: float) -> bool:
+        problem = _decay(type(method)(T), plant, alpha)
+        fixed = {**(problem.fixed or {}), "ℓ²": squared}
+        return solve(Problem(problem.inequalities, None, fixed), margin=INSIDE).solved
+
+    low, high = 0.0, 1e-3
+    while holds(high):
+        low, high = high, 2.0 * high
+        if high > AGES:
+            return np.inf
+    while high - low > rtol * high:
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if holds(middle) else (low, middle)
+    return low
+
+
+def _decay(method: EulerPi, plant: Plant, alpha: float) -> Problem:
+    """V falls by 2 α T per sample where nothing disturbs; λ is one without loss, so that it is linear in ℓ²."""
     T0 = method.time(plant)
     Φ0 = method.model(plant, T0)
     H0 = method.decoupling(plant, Φ0)
@@ -50,8 +81,7 @@ def largest_lipschitz(method: EulerPi, plant: Plant, alpha: float = 0.0) -> floa
         [__, -I(PB.shape[1]), T * PB.T],
         [__, __, -T * P],
     ])  # fmt: skip
-    found = solve(Problem([lmi < 0, P > 0], -ℓ2, {"T": T0, "H": H0, "Φ₁": Φ0}))
-    return float(np.sqrt(max(-found.objective, 0.0))) if found.solved else None
+    return Problem([lmi < 0, P > 0], -ℓ2, {"T": T0, "H": H0, "Φ₁": Φ0})
 
 
 @dataclass(frozen=True)
@@ -86,8 +116,7 @@ def practical_bound(
     inequalities = [lmi < 0, P - c.T @ c > 0]
     best: PracticalBound | None = None
     for rate in rates:
-        held = {**gains, "T": T0, "α": rate} | ({} if PB.shape[1] else {"λ": 1.0})
-        known = {k: v for k, v in held.items() if k not in ("λ",) or not PB.shape[1]}
+        known = {**gains, "T": T0, "α": rate} | ({} if PB.shape[1] else {"λ": 1.0})
         found = solve(Problem(inequalities, σ2, known), margin=INSIDE)
         if not found.solved or found.objective <= 0:
             continue

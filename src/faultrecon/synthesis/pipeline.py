@@ -203,8 +203,10 @@ def _checked_optimum(posed: Posed, by_riccati: LevelSolution | None) -> tuple[fl
 def _level(outcome: Outcome, posed: Posed) -> float:
     if outcome.solved:
         return posed.theorem.level(outcome.objective)
+    if (known := posed.method.unsolvable(posed.plant)) is not None:
+        raise Impossible(known)
     if outcome.status == "infeasible":
-        raise Impossible(posed.method.unsolvable(posed.plant) or no_solution(posed, outcome))
+        raise Impossible(no_solution(posed, outcome))
     raise Inconclusive(no_answer(posed, outcome))
 
 
