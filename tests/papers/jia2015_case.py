@@ -21,7 +21,7 @@ from faultrecon.synthesis.levels import Posed, pose
 
 PLANT = fr.library("flexible_joint_sampled")
 WEIGHTS = {"α": 2.0, "c₁": 10.0, "c₂": 3000.0, "c₃": 10.0}
-"""The reference design minimises 10 γ₁² + 3000 γ₂² + 10 γ₃² at a decay of 2 1/s; the state weight of 0.1 is the default."""
+"""The reference design minimises 10 γ₁² + 3000 γ₂² + 10 γ₃² at a decay of 2 1/s, with the default state weight."""
 FINE = 2.5e-4
 """Step of the truth in s: its error against an adaptive integrator of order eight is below 1e-9."""
 

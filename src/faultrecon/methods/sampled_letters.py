@@ -132,7 +132,9 @@ def sampled_letters(plant: Plant, scaling: Scaling, H0: Array, rates: Array) -> 
     (_, ns), r = own.sensor.shape, own.actuator.shape[1]
     na = n + ns
     size = [f.size for f in plant.faults]
-    x = np.concatenate([np.exp2(scaling.state.astype(float)), _near(own.sensor.T @ size)])
+    # Only their ratios matter to the states; the largest is given the size of the faults, which the program counts in.
+    shares = np.exp2((scaling.state - scaling.state.max()).astype(float))
+    x = np.concatenate([shares, _near(own.sensor.T @ size)])
     a = _near(own.actuator.T @ size)
     S, Si, Sf, Sfi = (given(k, np.diag(v).reshape(2*(len(v),))) for k, v in (("S", x), ("S⁻¹", 1/x), ("S_f", a), ("S_f⁻¹", 1/a)))
     Jx, Js = given("J_x", np.eye(na, n)), given("J_s", np.eye(na, ns, -n))
