@@ -10,8 +10,7 @@ import numpy as np
 
 import faultrecon as fr
 from faultrecon.lmi.solve import Outcome
-from faultrecon.methods.euler_observer import attenuating
-from faultrecon.methods.euler_pi import EulerPi, EulerPiEuler, EulerPiRk4
+from faultrecon.methods.euler_pi import EulerPi, EulerPiEuler, EulerPiRk4, attenuating
 from faultrecon.plant.fault import Disturbance
 from faultrecon.plant.plant import Plant
 from faultrecon.runtime.estimator import Estimator

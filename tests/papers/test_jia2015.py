@@ -15,8 +15,7 @@ from faultrecon.lmi.problem import Problem
 from faultrecon.lmi.solve import solve
 from faultrecon.lmi.walk import value_of
 from faultrecon.methods.base import Scaling
-from faultrecon.methods.euler_observer import attenuating
-from faultrecon.methods.euler_pi import EulerPi, EulerPiEuler
+from faultrecon.methods.euler_pi import EulerPi, EulerPiEuler, attenuating
 from faultrecon.methods.sampled_letters import sampled_letters
 from faultrecon.methods.sampled_limits import largest_lipschitz, longest_sample_time
 from faultrecon.plant.fault import FaultChannel

@@ -22,6 +22,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any, ClassVar
 
 import numpy as np
@@ -252,6 +253,31 @@ class EulerPiRk4(EulerPi):
     def observer(self, plant: Plant, gains: Mapping[str, Array]) -> Observer:
         """The equations with Φ_T a Runge-Kutta step."""
         return assembled(plant, gains, runge_kutta(plant, float(gains["T"].item())))
+
+
+class EulerObserver(EulerPi):
+    """The same with J = I, H = 0: what euler-pi would decouple is attenuated like every other disturbance.
+
+    It is stronger than the Euler-approximate observer of the literature, which has no level for disturbances at all.
+    """
+
+    name = "euler-observer"
+    summary = "baseline: euler-pi without decoupling (J = I, H = 0), every disturbance attenuated"
+    baseline = True
+
+    def assumptions(self, plant: Plant) -> list[Finding]:
+        """Those of euler-pi, but for what concerns decoupling."""
+        return super().assumptions(attenuating(plant))
+
+    def theorem(self, plant: Plant, scaling: Scaling) -> Theorem:
+        """The reduced inequality, which then is the whole one."""
+        return self.theorem_reduced(attenuating(plant), scaling)
+
+
+def attenuating(plant: Plant) -> Plant:
+    """The same plant, which asks that every counted disturbance be attenuated."""
+    kept = [replace(d, role="attenuate") if d.role == "decouple" else d for d in plant.disturbances]
+    return replace(plant, disturbances=tuple(kept))
 
 
 def fault_rates(plant: Plant) -> Array:

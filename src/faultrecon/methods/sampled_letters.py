@@ -73,7 +73,7 @@ def noise_weighted_inverse(plant: Plant, CD: Array) -> Array:
     if not R.all():  # a sensor without noise would take all the weight, and its small errors with it
         R = np.where(R > 0, R, R[R > 0].min(initial=1.0))
     weighted = CD.T / R
-    return np.linalg.solve(weighted @ CD, weighted)
+    return np.asarray(np.linalg.solve(weighted @ CD, weighted), dtype=float)
 
 
 def averaged(plant: Plant, T: float) -> Array:
@@ -131,11 +131,7 @@ def sampled_letters(plant: Plant, scaling: Scaling, H0: Array, rates: Array) -> 
     s = {k: given(f"plant.{k}", v) for k, v in plant.letters().items()}
     (_, ns), r = own.sensor.shape, own.actuator.shape[1]
     na = n + ns
-    size = [f.size for f in plant.faults]
-    # Only their ratios matter to the states; the largest is given the size of the faults, which the program counts in.
-    shares = np.exp2((scaling.state - scaling.state.max()).astype(float))
-    x = np.concatenate([shares, _near(own.sensor.T @ size)])
-    a = _near(own.actuator.T @ size)
+    x, a = _units(plant, scaling)
     S, Si, Sf, Sfi = (given(k, np.diag(v).reshape(2*(len(v),))) for k, v in (("S", x), ("S⁻¹", 1/x), ("S_f", a), ("S_f⁻¹", 1/a)))
     Jx, Js = given("J_x", np.eye(na, n)), given("J_s", np.eye(na, ns, -n))
     Qs, Qa = given("Q_s", own.sensor), given("Q_a", own.actuator)
@@ -160,7 +156,7 @@ def sampled_letters(plant: Plant, scaling: Scaling, H0: Array, rates: Array) -> 
     J1, J2, J3 = (given(f"J_{i + 1}", np.eye(sum(widths), w, -sum(widths[:i]))) for i, w in enumerate(widths))
     N  = given("N", np.diag(np.zeros(p) if plant.noise is None else plant.noise.sd))
     ν  = let("ν", s["F_w"]@s["W"]@Q2@J1.T + N@J2.T)
-    Θ  = given("Θ", np.diag(rates).reshape(2*(len(size),)))
+    Θ  = given("Θ", np.diag(rates).reshape(2*(len(rates),)))
     ranges = np.array(plant.signals.x.ranges)
     Ω  = given("Ω", np.diag(1 / np.where(np.isfinite(ranges) & (ranges > 0), ranges, 1.0)))
     M  = W.T@J@Si@ship["L"]
@@ -181,15 +177,7 @@ def sampled_letters(plant: Plant, scaling: Scaling, H0: Array, rates: Array) -> 
         K=let("K", Jε@M + Jf@(Sfi@ship["F"])),
         ship=(S@W@Jε.T, Sf@Jf.T, back),
         gains=ship,
-        identities=(
-            Identity("S S⁻¹ = I", S@Si - I(na)),
-            Identity("S_f S_f⁻¹ = I", Sf@Sfi - I(r)),
-            Identity("J Φ₁ D₁ = 0: what is decoupled does not reach the error", J@Φ@D1, ROUNDING),
-            Identity("J H = 0", J@H, ROUNDING),
-            Identity("Wᵀ J W = I", W.T@J@W - I(nε), ROUNDING),
-            Identity("W Wᵀ J = J: W spans what is left", W@W.T@J - J, ROUNDING),
-            *([Identity("no sensor fault is read through H", Js.T@H, ROUNDING)] if ns else []),
-        ),
+        identities=_identities((S, Si, Sf, Sfi), (Js, H, J, W), J@Φ@D1),
     )
 # fmt: on
 
@@ -223,6 +211,32 @@ def range_of(J: Array, rank: int) -> Array:
     if rank == len(J):
         return np.eye(rank)
     return np.ascontiguousarray(np.linalg.svd(J)[0][:, :rank])
+
+
+# fmt: off
+def _identities(units: tuple[Expr, ...], parts: tuple[Expr, ...], left: Expr) -> tuple[Identity, ...]:
+    """What the reduction rests on: units, and a projector J onto the range of W that takes out what is decoupled."""
+    (S, Si, Sf, Sfi), (Js, H, J, W) = units, parts
+    return (
+        Identity("S S⁻¹ = I", S@Si - I(S.shape[0])),
+        Identity("S_f S_f⁻¹ = I", Sf@Sfi - I(Sf.shape[0])),
+        Identity("J Φ₁ D₁ = 0: what is decoupled does not reach the error", left, ROUNDING),
+        Identity("J H = 0", J@H, ROUNDING),
+        Identity("Wᵀ J W = I", W.T@J@W - I(W.shape[1]), ROUNDING),
+        Identity("W Wᵀ J = J: W spans what is left", W@W.T@J - J, ROUNDING),
+        *([Identity("no sensor fault is read through H", Js.T@H, ROUNDING)] if Js.shape[1] else []),
+    )
+# fmt: on
+
+
+def _units(plant: Plant, scaling: Scaling) -> tuple[Array, Array]:
+    """Powers of two: the sizes of states and sensor faults (n+s,), and of actuator faults (r,).
+
+    Only the ratios of the states' matter; the largest is given the size of the faults, which the program counts in.
+    """
+    own, size = Channels.of(plant), [f.size for f in plant.faults]
+    shares = np.exp2((scaling.state - scaling.state.max()).astype(float))
+    return np.concatenate([shares, _near(own.sensor.T @ size)]), _near(own.actuator.T @ size)
 
 
 def _near(sizes: Array) -> Array:
