@@ -71,7 +71,7 @@ def noise_weighted_inverse(plant: Plant, CD: Array) -> Array:
     """M with M C D₁ = I and the least noise in M y: (CD' R⁻¹ CD)⁻¹ CD' R⁻¹, R the variances of the sensors."""
     R = np.ones(plant.p) if plant.noise is None else np.square(plant.noise.sd)
     if not R.all():  # a sensor without noise would take all the weight, and its small errors with it
-        R = np.where(R > 0, R, R[R > 0].min(initial=1.0))
+        R = np.where(R > 0, R, R[R > 0].min() if R.any() else 1.0)
     weighted = CD.T / R
     return np.asarray(np.linalg.solve(weighted @ CD, weighted), dtype=float)
 

@@ -169,9 +169,10 @@ class General:
         Where a row is missing the observer predicts all of it, and the last input stays.
         """
         lay, nothing = self.layout, np.ones(self.layout.p, dtype=bool)
-        for j in range(skipped):
-            held = np.concatenate((s[lay.v][: lay.m], np.zeros(lay.p)))
-            s = self.stepper(gone, nothing).advance(s, t0 + j * self.sample_time, held)
+        held = np.concatenate((s[lay.v][: lay.m], np.zeros(lay.p)))
+        for first in range(0, skipped, LONG):
+            t = t0 + self.sample_time * np.arange(first, min(first + LONG, skipped))
+            s = self.stepper(gone, nothing).run(s, t, np.tile(held, (len(t), 1)))[-1]
             gone = nothing
         return self.stepper(gone, missing).advance(s, t0 + skipped * self.sample_time, v)
 
