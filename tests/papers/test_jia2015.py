@@ -15,7 +15,14 @@ from faultrecon.lmi.problem import Problem
 from faultrecon.lmi.solve import solve
 from faultrecon.lmi.walk import value_of
 from faultrecon.methods.base import Scaling
-from faultrecon.methods.euler_pi import EulerPi, EulerPiEuler, attenuating
+from faultrecon.methods.euler_pi import (
+    EulerObserver,
+    EulerPi,
+    EulerPiEuler,
+    EulerPiRamp,
+    EulerPiRk4,
+    attenuating,
+)
 from faultrecon.methods.sampled_letters import sampled_letters
 from faultrecon.methods.sampled_limits import largest_lipschitz, longest_sample_time
 from faultrecon.plant.fault import FaultChannel
@@ -23,6 +30,7 @@ from faultrecon.plant.lipschitz import Lipschitz
 from faultrecon.plant.plant import Plant
 from faultrecon.synthesis.certify import certificate, proof_inequalities, prove
 from faultrecon.synthesis.levels import scale
+from faultrecon.testing import check_method
 
 H = np.outer([0.2, 2.0, 0.1, 0.3], [0.2, 2.0, 0.1]) / 4.05
 # What the reference tables were computed with: the inequality held 1e-7 inside, in the plant's own units.
@@ -187,7 +195,9 @@ def test_one_proof_at_the_longest_sample_time_covers_every_shorter_one():
 def error_system(kind, T, slope):
     """ζ⁺ = ζ + T (A ζ + B w) for φ' = slope, e_f as output, from the design's own letters; w = [d₂; η; ḟ]."""
     gains = reference(kind, T)[2]
-    m = sampled_letters(PLANT, Scaling(np.zeros(4, np.int64), np.zeros(3, np.int64)), gains["H"], np.ones(1))
+    m = sampled_letters(
+        PLANT, kind().channels(PLANT), Scaling(np.zeros(4, np.int64), np.zeros(3, np.int64)), gains["H"], np.ones(1)
+    )
     A, B, C, R, E, F, Rw, out, K = (value_of(e, gains) for e in (m.A, m.Bφ, m.C, m.R, m.Ew, m.Fw, m.Rw, m.faults, m.K))
     states = value_of(m.states, gains)
     return A - K @ C + B @ (slope * R), E - K @ F + B @ (slope * Rw), np.vstack([out, 0.1 * states])
@@ -332,3 +342,9 @@ def test_another_solver_of_another_kind_finds_the_same_objective():
     other = cp.Problem(cp.Minimize((np.asarray(problem.objective.slope).ravel() * units) @ v), rows)
     other.solve(solver=cp.SCS, eps=1e-7, max_iters=20000)
     assert other.value == pytest.approx(found.objective, rel=1e-5)
+
+
+@pytest.mark.parametrize("kind", [EulerPi, EulerPiEuler, EulerPiRk4, EulerPiRamp, EulerObserver])
+def test_every_variant_keeps_to_the_rules_for_methods(kind):
+    tried = check_method(kind)
+    assert {"pendulum", "drive"} <= {what.rpartition(" ")[2] for what in tried}

@@ -257,3 +257,14 @@ def test_simulate_runs_a_sampled_observer_with_its_own_sample_time():
 def test_two_disturbances_are_decoupled_where_there_are_sensors_for_them():
     plant = decoupling({"theta_m": 0.2, "theta_l": 1.0})
     assert fr.design(plant, "euler-pi").verification.verdict == "proved"
+
+
+def test_the_ramp_model_follows_a_growing_fault_with_less_lag():
+    weights = {**WEIGHTS, "α": 1.0}
+    ramp = fr.design(PLANT, "euler-pi-ramp", fix=weights)
+    assert ramp.verification.verdict == "proved"
+    steady, growing = (fr.design(PLANT, name, fix=weights).estimator() for name in ("euler-pi", "euler-pi-ramp"))
+    lag = [rms(errors(one, truth("vary", 1.0))[0]) for one in (steady, growing)]
+    assert lag[1] < 0.75 * lag[0]
+    noisy = [rms(errors(one, truth("vary", 1.0), noise(0))[0]) for one in (steady, growing)]
+    assert noisy[1] < 0.0125 < noisy[0]

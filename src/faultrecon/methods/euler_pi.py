@@ -36,6 +36,7 @@ from faultrecon.methods.base import Assumed, Identity, Method, Scaling, Theorem,
 from faultrecon.methods.papers import JIA_2015
 from faultrecon.methods.sampled_conditions import sampled_findings, unstructured
 from faultrecon.methods.sampled_letters import (
+    Channels,
     SampledLetters,
     augmented,
     averaged,
@@ -105,9 +106,17 @@ class EulerPi(Method):
         """M with M C D₁ = I."""
         return noise_weighted_inverse(plant, CD)
 
+    def channels(self, plant: Plant) -> Channels:
+        """Which faults are states of the augmented plant, and which are constant between their corrections."""
+        return Channels.of(plant)
+
+    def unit_rates(self, plant: Plant) -> Array:
+        """What one unit of ḟ is, per fault: its declared rate, else its size in a second; of f̈, that in a second."""
+        return np.array([f.rate if math.isfinite(f.rate) else f.size for f in plant.faults])
+
     def decoupling(self, plant: Plant, Φ1: Array) -> Array:
-        """H (n+s, p) = D₁ M for the D₁ of the same model: J = I - H C then has kernel D₁ and loses nothing else."""
-        D1, C = augmented(plant)
+        """H (n+k, p) = D₁ M for the D₁ of the same model: J = I - H C then has kernel D₁ and loses nothing else."""
+        D1, C = augmented(plant, self.channels(plant))
         D1[: plant.n] = Φ1 @ D1[: plant.n]
         return D1 @ self.left_inverse(plant, C @ D1) if D1.shape[1] else np.zeros((len(D1), plant.p))
 
@@ -126,7 +135,7 @@ class EulerPi(Method):
         T0 = self.time(plant)
         Φ0 = self.model(plant, T0)
         H0 = self.decoupling(plant, Φ0)
-        m = sampled_letters(plant, scaling, H0, fault_rates(plant))
+        m = sampled_letters(plant, self.channels(plant), scaling, H0, self.unit_rates(plant))
         T, α, c_x, λ = m.gains["T"], unknown("α"), unknown("c_x"), unknown("λ")
         P, Y = unknown("P", m.nz, m.nz, symmetric=True), unknown("Y", m.nz, plant.p)
         level, γ = unknown("γ²"), unknown("γ")
@@ -175,12 +184,15 @@ class EulerPi(Method):
     def claim(self, plant: Plant) -> str:
         """What is guaranteed, in the letters of the certificate."""
         counted = ["γ₁² |d|²"] if any(d.role == "attenuate" for d in plant.attenuated) else []
-        counted += ["γ₂² |η|²", "γ₃² |f'|²"]
+        counted += ["γ₂² |η|²", f"γ₃² |{self.derivative}|²"]
         return (
             f"T Σ (|f - f̂|² + c_x² |x - x̂ - H ν|²) ≤ T Σ ({' + '.join(counted)}) + V(ζ(0)) on every horizon, where"
             " c₁ γ₁² + c₂ γ₂² + c₃ γ₃² < γ², in declared sizes, standard deviations of the noise and declared rates;"
             " V falls by 2 α T per sample without them; decoupled disturbances do not enter"
         )
+
+    derivative: ClassVar[str] = "f'"
+    """What of the fault is an unknown input."""
 
     def scope(self, plant: Plant) -> str:
         """What the guarantee covers, and what it does not."""
@@ -195,7 +207,7 @@ class EulerPi(Method):
 
     def observer(self, plant: Plant, gains: Mapping[str, Array]) -> Observer:
         """The equations above; the observer's state is [z; f̂_a]."""
-        return assembled(plant, gains, Prediction(gains["Φ₁"]))
+        return assembled(plant, self.channels(plant), gains, Prediction(gains["Φ₁"]))
 
     def notes(self, plant: Plant, gains: Mapping[str, Array]) -> tuple[str, ...]:
         """The sample time, and how fast the error falls where the nonlinearity adds nothing."""
@@ -252,7 +264,20 @@ class EulerPiRk4(EulerPi):
 
     def observer(self, plant: Plant, gains: Mapping[str, Array]) -> Observer:
         """The equations with Φ_T a Runge-Kutta step."""
-        return assembled(plant, gains, runge_kutta(plant, float(gains["T"].item())))
+        return assembled(plant, self.channels(plant), gains, runge_kutta(plant, float(gains["T"].item())))
+
+
+class EulerPiRamp(EulerPi):
+    """Faults that grow steadily: the fault is a state, its rate what the integrator holds, and γ₃ prices f''."""
+
+    name = "euler-pi-ramp"
+    summary = "euler-pi for faults that keep growing: a double integrator, which follows ramps without lag"
+    variant_of = "euler-pi"
+    derivative = "f''"
+
+    def channels(self, plant: Plant) -> Channels:
+        """Every fault is carried, and its rate drives it."""
+        return Channels.of(plant, ramp=True)
 
 
 class EulerObserver(EulerPi):
@@ -278,11 +303,6 @@ def attenuating(plant: Plant) -> Plant:
     """The same plant, which asks that every counted disturbance be attenuated."""
     kept = [replace(d, role="attenuate") if d.role == "decouple" else d for d in plant.disturbances]
     return replace(plant, disturbances=tuple(kept))
-
-
-def fault_rates(plant: Plant) -> Array:
-    """What one unit of ḟ is, per fault: its declared rate, else its size in a second."""
-    return np.array([f.rate if math.isfinite(f.rate) else f.size for f in plant.faults])
 
 
 STATE_WEIGHT = 0.1

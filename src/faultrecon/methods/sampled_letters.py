@@ -2,7 +2,8 @@
 """What the sampled proportional-integral observers are made of: the decoupling, the discretised model, their letters.
 
 The plant is augmented by its sensor faults, x_a = [x; f_s], which only their unknown rate moves, so that sensor and
-actuator faults are reconstructed by one observer.  Disturbances with role "decouple" are D₁, the attenuated ones D₂.
+actuator faults are reconstructed by one observer; where faults are modelled as ramps, by all of them, and what drives is
+their rate.  Disturbances with role "decouple" are D₁, the attenuated ones D₂.
 
     x_a⁺ = x_a + T Φ₁ (A x_a + B u + B_φ φ(H_φ x_a) + E f_a + D₁ d₁ + D₂ d₂) + T [0; f_s']       y = C x_a + D u + F₂ d₂ + N η
 
@@ -32,39 +33,37 @@ TERMS = 16
 
 @dataclass(frozen=True, eq=False)
 class Channels:
-    """The plant's channels sorted by what the observer does with them; columns of selection matrices.
+    """The plant's channels sorted by what the observer does with them, as columns of selection matrices.
 
-    sensor (q, s), actuator (q, r): which faults; decouple, attenuate (l, .): which counted disturbances.
+    carried (q, k): faults that are states of the augmented plant.  driven (q, r): faults whose integrator drives it, or
+    with `ramp` the faults whose rate does.  decouple, attenuate (l, .): which counted disturbances.
     """
 
-    sensor: Array
-    actuator: Array
+    carried: Array
+    driven: Array
     decouple: Array
     attenuate: Array
+    ramp: bool = False
 
     @staticmethod
-    def of(plant: Plant) -> Channels:
-        """Sorted by site and by role."""
-        on_sensor = [f.site == "sensor" for f in plant.faults]
-        decoupled = [d.role == "decouple" for d in plant.attenuated]
+    def of(plant: Plant, *, ramp: bool = False) -> Channels:
+        """Disturbances by role; sensor faults are carried, actuator faults drive; as ramps all are carried."""
+        on_sensor = np.array([f.site == "sensor" for f in plant.faults], dtype=bool)
+        decoupled = np.array([d.role == "decouple" for d in plant.attenuated], dtype=bool)
         q, l = np.eye(len(on_sensor)), np.eye(len(decoupled))
+        sorted_faults = (q, q) if ramp else (q[:, on_sensor], q[:, ~on_sensor])
+        return Channels(*sorted_faults, l[:, decoupled], l[:, ~decoupled], ramp)
 
-        def pick(M: Array, mask: list[bool]) -> Array:
-            return M[:, np.array(mask, dtype=bool)]
-
-        return Channels(
-            pick(q, on_sensor),
-            pick(q, [not s for s in on_sensor]),
-            pick(l, decoupled),
-            pick(l, [not d for d in decoupled]),
-        )
+    @property
+    def sizes(self) -> tuple[int, int]:
+        """How many are carried, how many drive."""
+        return self.carried.shape[1], self.driven.shape[1]
 
 
-def augmented(plant: Plant) -> tuple[Array, Array]:
-    """D₁ (n+s, q₁) of what is decoupled, in declared sizes, and C (p, n+s) of the augmented plant, in floating point."""
-    own, w = Channels.of(plant), plant.letters()["W"]
-    D1 = plant.E_w @ w @ own.decouple
-    return np.vstack([D1, np.zeros((own.sensor.shape[1], D1.shape[1]))]), np.hstack([plant.C, plant.F_f @ own.sensor])
+def augmented(plant: Plant, own: Channels) -> tuple[Array, Array]:
+    """D₁ (n+k, q₁) of what is decoupled, in declared sizes, and C (p, n+k) of the augmented plant, in floating point."""
+    D1 = plant.E_w @ plant.letters()["W"] @ own.decouple
+    return np.vstack([D1, np.zeros((own.sizes[0], D1.shape[1]))]), np.hstack([plant.C, plant.F_f @ own.carried])
 
 
 def noise_weighted_inverse(plant: Plant, CD: Array) -> Array:
@@ -89,7 +88,8 @@ class SampledLetters:
 
     A, B_phi, C, R: of ζ;  E_w, F_w, R_w: of w = [d₂; η; ḟ];  faults, states: what is counted as error, of ζ.
     Πx: what a push of the plant's states (n,) does to ζ.
-    inputs: width of each part of w.  K: from what ships to [W'L; F].  ship: from K to what ships.  gains: what ships, by letter.
+    inputs: width of each part of w.  K: from what ships to [W'L; F].  ship: from K to what ships.
+    gains: what ships, by letter.
     """
 
     nz: int
@@ -112,43 +112,43 @@ class SampledLetters:
     identities: tuple[Identity, ...]
 
 
-def gains_of(plant: Plant) -> dict[str, Expr]:
+def gains_of(plant: Plant, own: Channels) -> dict[str, Expr]:
     """The letters that ship: T in s, H and Φ₁ of the model, L and F per second."""
-    na, r = plant.n + Channels.of(plant).sensor.shape[1], Channels.of(plant).actuator.shape[1]
+    (k, r), p = own.sizes, plant.p
     return {
         "T": unknown("T"),
-        "H": unknown("H", na, plant.p),
+        "H": unknown("H", plant.n + k, p),
         "Φ₁": unknown("Φ₁", plant.n, plant.n),
-        "L": unknown("L", na, plant.p),
-        "F": unknown("F", r, plant.p),
+        "L": unknown("L", plant.n + k, p),
+        "F": unknown("F", r, p),
     }
 
 
 # fmt: off
-def sampled_letters(plant: Plant, scaling: Scaling, H0: Array, rates: Array) -> SampledLetters:
-    """The letters for a decoupling H0 (n+s, p), in declared sizes; rates (q,): what one unit of ḟ is."""
-    own, n, p = Channels.of(plant), plant.n, plant.p
+def sampled_letters(plant: Plant, own: Channels, scaling: Scaling, H0: Array, rates: Array) -> SampledLetters:
+    """The letters for a decoupling H0 (n+k, p), in declared sizes; rates (q,): what one unit of ḟ is, of f̈ for ramps."""
+    n, p, (k, r) = plant.n, plant.p, own.sizes
     s = {k: given(f"plant.{k}", v) for k, v in plant.letters().items()}
-    (_, ns), r = own.sensor.shape, own.actuator.shape[1]
-    na = n + ns
-    x, a = _units(plant, scaling)
+    na = n + k
+    x, a = _units(plant, own, scaling, rates)
     S, Si, Sf, Sfi = (given(k, np.diag(v).reshape(2*(len(v),))) for k, v in (("S", x), ("S⁻¹", 1/x), ("S_f", a), ("S_f⁻¹", 1/a)))
-    Jx, Js = given("J_x", np.eye(na, n)), given("J_s", np.eye(na, ns, -n))
-    Qs, Qa = given("Q_s", own.sensor), given("Q_a", own.actuator)
+    Jx, Jc = given("J_x", np.eye(na, n)), given("J_c", np.eye(na, k, -n))
+    Qc, Qd = given("Q_c", own.carried), given("Q_d", own.driven)
     Q1, Q2 = given("Q_1", own.decouple), given("Q_2", own.attenuate)
-    ship = gains_of(plant)
+    ship = gains_of(plant, own)
 
-    C  = let("C_a", (s["C"]@Jx.T + s["F_f"]@Qs@Js.T)@S)
+    C  = let("C_a", (s["C"]@Jx.T + s["F_f"]@Qc@Jc.T)@S)
     H  = let("H_s", Si@ship["H"])
     J  = let("J", I(na) - H@C)
-    Φ  = let("Φ_a", Si@(Jx@ship["Φ₁"]@Jx.T + Js@Js.T)@S)
-    W0 = range_of((np.eye(na) - H0@augmented(plant)[1]) * x / x[:, None], na - own.decouple.shape[1])
+    Φ  = let("Φ_a", Si@(Jx@ship["Φ₁"]@Jx.T + Jc@Jc.T)@S)
+    W0 = range_of((np.eye(na) - H0@augmented(plant, own)[1]) * x / x[:, None], na - own.decouple.shape[1])
     W  = given("W", W0)
     nε = W0.shape[1]
     nz = nε + r
     Jε, Jf = given("J_ε", np.eye(nz, nε)), given("J_f", np.eye(nz, r, -nε))
     Π  = let("Π", W.T@J@Φ)                                                     # what moves x_a moves ε by Π times it
-    A, G = let("A_a", Si@Jx@s["A"]@Jx.T@S), Si@Jx@s["G"]
+    A, G = let("A_a", Si@Jx@(s["A"]@Jx.T + s["E_f"]@Qc@Jc.T)@S), Si@Jx@s["G"]
+    E  = Si@(Jc@Qc.T if own.ramp else Jx@s["E_f"])@Qd@Sf
     D1, D2 = Si@Jx@s["E_w"]@s["W"]@Q1, Si@Jx@s["E_w"]@s["W"]@Q2
     Hφ = s["H"]@Jx.T@S
 
@@ -159,25 +159,27 @@ def sampled_letters(plant: Plant, scaling: Scaling, H0: Array, rates: Array) -> 
     Θ  = given("Θ", np.diag(rates).reshape(2*(len(rates),)))
     ranges = np.array(plant.signals.x.ranges)
     Ω  = given("Ω", np.diag(1 / np.where(np.isfinite(ranges) & (ranges > 0), ranges, 1.0)))
+    Ef = Jf@(Sfi@Qd.T@Θ@J3.T) + (0 if own.ramp else Jε@(Π@Si@Jc@Qc.T@Θ@J3.T))
+    faults = s["V"]@Qc@Jc.T@S@W@Jε.T
     M  = W.T@J@Si@ship["L"]
     back = let("I - CH", I(p) - C@H)
     return SampledLetters(
         nz, widths, (J1, J2, J3),
-        A=let("A_r", Jε@(Π@A@W)@Jε.T + Jε@(Π@Si@Jx@s["E_f"]@Qa@Sf)@Jf.T),
+        A=let("A_r", Jε@(Π@A@W)@Jε.T + Jε@(Π@E)@Jf.T),
         Bφ=let("B_r", Jε@(Π@G)),
         C=let("C_r", C@W@Jε.T),
         R=let("R_ζ", Hφ@W@Jε.T),
-        Ew=let("E_r", Jε@(Π@(D2@J1.T - A@H@ν)) + Jε@(Π@Si@Js@Qs.T@Θ@J3.T) + Jf@(Sfi@Qa.T@Θ@J3.T)),
+        Ew=let("E_r", Jε@(Π@(D2@J1.T - A@H@ν)) + Ef),
         Fw=let("F_r", back@ν),
         Rw=let("R_w", -(Hφ@H@ν)),
-        faults=let("C_f", s["V"]@(Qa@Sf@Jf.T + Qs@Js.T@S@W@Jε.T)),
+        faults=let("C_f", faults if own.ramp else faults + s["V"]@Qd@Sf@Jf.T),
         states=let("C_x", Ω@Jx.T@S@W@Jε.T),
         Πx=let("Π_x", Jε@(W.T@J@Si@Jx)),
         α=s["α"],
         K=let("K", Jε@M + Jf@(Sfi@ship["F"])),
         ship=(S@W@Jε.T, Sf@Jf.T, back),
         gains=ship,
-        identities=_identities((S, Si, Sf, Sfi), (Js, H, J, W), J@Φ@D1),
+        identities=_identities((S, Si, Sf, Sfi), (Jc, H, J, W), J@Φ@D1),
     )
 # fmt: on
 
@@ -216,7 +218,7 @@ def range_of(J: Array, rank: int) -> Array:
 # fmt: off
 def _identities(units: tuple[Expr, ...], parts: tuple[Expr, ...], left: Expr) -> tuple[Identity, ...]:
     """What the reduction rests on: units, and a projector J onto the range of W that takes out what is decoupled."""
-    (S, Si, Sf, Sfi), (Js, H, J, W) = units, parts
+    (S, Si, Sf, Sfi), (Jc, H, J, W) = units, parts
     return (
         Identity("S S⁻¹ = I", S@Si - I(S.shape[0])),
         Identity("S_f S_f⁻¹ = I", Sf@Sfi - I(Sf.shape[0])),
@@ -224,19 +226,19 @@ def _identities(units: tuple[Expr, ...], parts: tuple[Expr, ...], left: Expr) ->
         Identity("J H = 0", J@H, ROUNDING),
         Identity("Wᵀ J W = I", W.T@J@W - I(W.shape[1]), ROUNDING),
         Identity("W Wᵀ J = J: W spans what is left", W@W.T@J - J, ROUNDING),
-        *([Identity("no sensor fault is read through H", Js.T@H, ROUNDING)] if Js.shape[1] else []),
+        *([Identity("no fault is read through H", Jc.T@H, ROUNDING)] if Jc.shape[1] else []),
     )
 # fmt: on
 
 
-def _units(plant: Plant, scaling: Scaling) -> tuple[Array, Array]:
-    """Powers of two: the sizes of states and sensor faults (n+s,), and of actuator faults (r,).
+def _units(plant: Plant, own: Channels, scaling: Scaling, rates: Array) -> tuple[Array, Array]:
+    """Powers of two: the sizes of states and carried faults (n+k,), and of what drives (r,).
 
     Only the ratios of the states' matter; the largest is given the size of the faults, which the program counts in.
     """
-    own, size = Channels.of(plant), [f.size for f in plant.faults]
+    size = np.array([f.size for f in plant.faults])
     shares = np.exp2((scaling.state - scaling.state.max()).astype(float))
-    return np.concatenate([shares, _near(own.sensor.T @ size)]), _near(own.actuator.T @ size)
+    return np.concatenate([shares, _near(own.carried.T @ size)]), _near(own.driven.T @ (rates if own.ramp else size))
 
 
 def _near(sizes: Array) -> Array:
