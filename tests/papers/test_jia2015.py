@@ -19,6 +19,7 @@ from faultrecon.methods.euler_pi import (
     EulerObserver,
     EulerPi,
     EulerPiEuler,
+    EulerPiMinimumNorm,
     EulerPiRamp,
     EulerPiRk4,
     attenuating,
@@ -195,9 +196,8 @@ def test_one_proof_at_the_longest_sample_time_covers_every_shorter_one():
 def error_system(kind, T, slope):
     """ζ⁺ = ζ + T (A ζ + B w) for φ' = slope, e_f as output, from the design's own letters; w = [d₂; η; ḟ]."""
     gains = reference(kind, T)[2]
-    m = sampled_letters(
-        PLANT, kind().channels(PLANT), Scaling(np.zeros(4, np.int64), np.zeros(3, np.int64)), gains["H"], np.ones(1)
-    )
+    unscaled = Scaling(np.zeros(4, np.int64), np.zeros(3, np.int64))
+    m = sampled_letters(PLANT, kind().channels(PLANT), unscaled, gains["H"], np.ones(1), T)
     A, B, C, R, E, F, Rw, out, K = (value_of(e, gains) for e in (m.A, m.Bφ, m.C, m.R, m.Ew, m.Fw, m.Rw, m.faults, m.K))
     states = value_of(m.states, gains)
     return A - K @ C + B @ (slope * R), E - K @ F + B @ (slope * Rw), np.vstack([out, 0.1 * states])
@@ -344,7 +344,16 @@ def test_another_solver_of_another_kind_finds_the_same_objective():
     assert other.value == pytest.approx(found.objective, rel=1e-5)
 
 
-@pytest.mark.parametrize("kind", [EulerPi, EulerPiEuler, EulerPiRk4, EulerPiRamp, EulerObserver])
+@pytest.mark.parametrize("kind", [EulerPi, EulerPiEuler, EulerPiRk4, EulerPiRamp, EulerPiMinimumNorm, EulerObserver])
 def test_every_variant_keeps_to_the_rules_for_methods(kind):
-    tried = check_method(kind)
-    assert {"pendulum", "drive"} <= {what.rpartition(" ")[2] for what in tried}
+    tried = {what.rpartition(" ")[2] for what in check_method(kind)}
+    assert tried >= {"drive"} if kind is EulerPiMinimumNorm else tried >= {"drive", "pendulum"}
+
+
+def test_the_pseudo_inverse_solution_decouples_and_is_not_idempotent():
+    method = EulerPiMinimumNorm()
+    H = method.decoupling(PLANT, np.eye(4))
+    J = np.eye(4) - H @ PLANT.C
+    assert np.abs(J @ PLANT.E_w[:, [0]]).max() < 1e-12 and np.abs(J @ J - J).max() > 0.1
+    nothing = method.decoupling(attenuating(PLANT), np.eye(4))
+    assert np.abs(np.eye(4) - nothing @ PLANT.C - np.linalg.inv(np.eye(4) + PLANT.C.T @ PLANT.C)).max() < 1e-12

@@ -23,6 +23,7 @@ from jia2015_case import (
 )
 
 import faultrecon as fr
+from faultrecon.methods.euler_pi import EulerPiEuler, EulerPiMinimumNorm
 from faultrecon.methods.sampled_limits import practical_bound
 from faultrecon.plant.fault import FaultChannel
 from faultrecon.runtime.estimator import Estimator
@@ -268,3 +269,11 @@ def test_the_ramp_model_follows_a_growing_fault_with_less_lag():
     assert lag[1] < 0.75 * lag[0]
     noisy = [rms(errors(one, truth("vary", 1.0), noise(0))[0]) for one in (steady, growing)]
     assert noisy[1] < 0.0125 < noisy[0]
+
+
+def test_with_one_sample_of_noise_per_step_the_pseudo_inverse_is_as_quiet_as_the_projector():
+    class Whole(EulerPiMinimumNorm):
+        model, model_identities = EulerPiEuler.model, EulerPiEuler.model_identities
+
+    quiet, other = (rms(errors(estimator(kind), truth("const", 1.0), noise(0))[0]) for kind in (PlainEuler, Whole))
+    assert other == pytest.approx(quiet, rel=0.01)

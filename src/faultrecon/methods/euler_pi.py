@@ -59,8 +59,8 @@ class EulerPi(Method):
     )
     paper = JIA_2015
     sampled = True
-    every_shorter: ClassVar[bool] = False
-    """Whether the model at T is also that at every shorter T, so that one proof covers them all."""
+    idempotent: ClassVar[bool] = True
+    """Whether J² = J: an oblique projector, which loses nothing but what is decoupled."""
 
     def __init__(self, sample_time: float | None = None) -> None:
         self.sample_time = sample_time
@@ -135,7 +135,7 @@ class EulerPi(Method):
         T0 = self.time(plant)
         Φ0 = self.model(plant, T0)
         H0 = self.decoupling(plant, Φ0)
-        m = sampled_letters(plant, self.channels(plant), scaling, H0, self.unit_rates(plant))
+        m = sampled_letters(plant, self.channels(plant), scaling, H0, self.unit_rates(plant), T0, idempotent=self.idempotent)
         T, α, c_x, λ = m.gains["T"], unknown("α"), unknown("c_x"), unknown("λ")
         P, Y = unknown("P", m.nz, m.nz, symmetric=True), unknown("Y", m.nz, plant.p)
         level, γ = unknown("γ²"), unknown("γ")
@@ -162,7 +162,7 @@ class EulerPi(Method):
             identities=[*m.identities, *self.model_identities(plant, scaling, m.gains, T0)],
             premises=[*lipschitz_premises(plant), *self.premises(plant)],
             claim=self.claim(plant), scope=self.scope(plant),
-            fixed={"T": T0, "H": H0, "Φ₁": Φ0} | held_fixed(plant, m), bases=("S", "S⁻¹", "S_f", "S_f⁻¹", "W", *BASES),
+            fixed={"T": T0, "H": H0, "Φ₁": Φ0} | held_fixed(plant, m), bases=("S", "S⁻¹", "S_f", "S_f⁻¹", "W", "T⁻¹", *BASES),
         )
 
     def ships(self, m: SampledLetters, P: Expr, Y: Expr) -> dict[Expr, Expr]:
@@ -207,7 +207,7 @@ class EulerPi(Method):
 
     def observer(self, plant: Plant, gains: Mapping[str, Array]) -> Observer:
         """The equations above; the observer's state is [z; f̂_a]."""
-        return assembled(plant, self.channels(plant), gains, Prediction(gains["Φ₁"]))
+        return assembled(plant, self.channels(plant), gains, Prediction(gains["Φ₁"]), idempotent=self.idempotent)
 
     def notes(self, plant: Plant, gains: Mapping[str, Array]) -> tuple[str, ...]:
         """The sample time, and how fast the error falls where the nonlinearity adds nothing."""
@@ -226,7 +226,6 @@ class EulerPiEuler(EulerPi):
     name = "euler-pi-euler"
     summary = "euler-pi with the paper's Euler model; one certificate for every shorter sample time"
     variant_of = "euler-pi"
-    every_shorter = True
     covers = (
         "at every sample time up to T, for Euler's model of the plant: it does not cover the difference between that"
         " model and the plant, which is of the order of T;"
@@ -278,6 +277,40 @@ class EulerPiRamp(EulerPi):
     def channels(self, plant: Plant) -> Channels:
         """Every fault is carried, and its rate drives it."""
         return Channels.of(plant, ramp=True)
+
+
+class EulerPiMinimumNorm(EulerPi):
+    """[J H] = [I 0] Θ⁺ with Θ = [I D₁; C 0], the literal reading of the paper's (12), (13).
+
+    It uses the output beyond what decoupling asks for (J = (I + C'C)⁻¹ where nothing is to be decoupled).  With two
+    samples of noise per step taken for independent, as a one-step inequality has them, its gains are four times as noisy;
+    in the coordinates e + H ν one sample is enough, and L then takes back what H brought in: it is no better or worse.
+    What holds at T need not hold at a shorter T.
+    """
+
+    name = "euler-pi-minimum-norm"
+    summary = "euler-pi with the pseudo-inverse solution for J and H, actuator faults only; for comparison"
+    variant_of = "euler-pi"
+    idempotent = False
+
+    def assumptions(self, plant: Plant) -> list[Finding]:
+        """Those of euler-pi, and no sensor fault: H would read it."""
+        found = super().assumptions(plant)
+        sensor = [f.name for f in plant.faults if f.site == "sensor"]
+        if not sensor or any(f.severity == "fatal" for f in found):
+            return found
+        why = "the pseudo-inverse lets every output into x̂ at once, and a faulty one brings its fault along"
+        return [
+            Finding(f"'{sensor[0]}' is a fault of a sensor", why=why, remedies=("use euler-pi",), see="Jia 2015, (12)")
+        ]
+
+    def decoupling(self, plant: Plant, Φ1: Array) -> Array:
+        """H of the solution of least norm of [J H] Θ = [I 0]."""
+        D1, C = augmented(plant, self.channels(plant))
+        D1[: plant.n] = Φ1 @ D1[: plant.n]
+        (na, q1), p = D1.shape, plant.p
+        Θ = np.block([[np.eye(na), D1], [C, np.zeros((p, q1))]])
+        return np.asarray(np.linalg.pinv(Θ)[:na, na:], dtype=float)
 
 
 class EulerObserver(EulerPi):

@@ -125,8 +125,14 @@ def gains_of(plant: Plant, own: Channels) -> dict[str, Expr]:
 
 
 # fmt: off
-def sampled_letters(plant: Plant, own: Channels, scaling: Scaling, H0: Array, rates: Array) -> SampledLetters:
-    """The letters for a decoupling H0 (n+k, p), in declared sizes; rates (q,): what one unit of ḟ is, of f̈ for ramps."""
+def sampled_letters(
+    plant: Plant, own: Channels, scaling: Scaling, H0: Array, rates: Array, T: float, *, idempotent: bool = True
+) -> SampledLetters:
+    """The letters for a decoupling H0 (n+k, p), in declared sizes; rates (q,): what one unit of ḟ is, of f̈ for ramps.
+
+    idempotent: J² = J, so that the error lives in the range of J.  Where it does not, W = I and J - I per sample is
+    part of the drift: z is then J times the prediction.
+    """
     n, p, (k, r) = plant.n, plant.p, own.sizes
     s = {k: given(f"plant.{k}", v) for k, v in plant.letters().items()}
     na = n + k
@@ -141,7 +147,8 @@ def sampled_letters(plant: Plant, own: Channels, scaling: Scaling, H0: Array, ra
     H  = let("H_s", Si@ship["H"])
     J  = let("J", I(na) - H@C)
     Φ  = let("Φ_a", Si@(Jx@ship["Φ₁"]@Jx.T + Jc@Jc.T)@S)
-    W0 = range_of((np.eye(na) - H0@augmented(plant, own)[1]) * x / x[:, None], na - own.decouple.shape[1])
+    rank = na - own.decouple.shape[1] if idempotent else na
+    W0 = range_of((np.eye(na) - H0@augmented(plant, own)[1]) * x / x[:, None], rank)
     W  = given("W", W0)
     nε = W0.shape[1]
     nz = nε + r
@@ -161,15 +168,19 @@ def sampled_letters(plant: Plant, own: Channels, scaling: Scaling, H0: Array, ra
     Ω  = given("Ω", np.diag(1 / np.where(np.isfinite(ranges) & (ranges > 0), ranges, 1.0)))
     Ef = Jf@(Sfi@Qd.T@Θ@J3.T) + (0 if own.ramp else Jε@(Π@Si@Jc@Qc.T@Θ@J3.T))
     faults = s["V"]@Qc@Jc.T@S@W@Jε.T
-    M  = W.T@J@Si@ship["L"]
     back = let("I - CH", I(p) - C@H)
+    M, A_r, ν_r, more = W.T@J@Si@ship["L"], Π@A@W, Π@A@H, _projector(H, J, W)
+    if not idempotent:
+        τ = given("T⁻¹", 1.0 / T)
+        M, A_r, ν_r = Si@ship["L"], A_r - τ*(H@C), ν_r + τ*(J@H)
+        more = (Identity("T T⁻¹ = 1", τ*ship["T"] - 1.0, ROUNDING),)
     return SampledLetters(
         nz, widths, (J1, J2, J3),
-        A=let("A_r", Jε@(Π@A@W)@Jε.T + Jε@(Π@E)@Jf.T),
+        A=let("A_r", Jε@A_r@Jε.T + Jε@(Π@E)@Jf.T),
         Bφ=let("B_r", Jε@(Π@G)),
         C=let("C_r", C@W@Jε.T),
         R=let("R_ζ", Hφ@W@Jε.T),
-        Ew=let("E_r", Jε@(Π@(D2@J1.T - A@H@ν)) + Ef),
+        Ew=let("E_r", Jε@(Π@D2@J1.T - ν_r@ν) + Ef),
         Fw=let("F_r", back@ν),
         Rw=let("R_w", -(Hφ@H@ν)),
         faults=let("C_f", faults if own.ramp else faults + s["V"]@Qd@Sf@Jf.T),
@@ -177,9 +188,9 @@ def sampled_letters(plant: Plant, own: Channels, scaling: Scaling, H0: Array, ra
         Πx=let("Π_x", Jε@(W.T@J@Si@Jx)),
         α=s["α"],
         K=let("K", Jε@M + Jf@(Sfi@ship["F"])),
-        ship=(S@W@Jε.T, Sf@Jf.T, back),
+        ship=(S@W@Jε.T, Sf@Jf.T, back if idempotent else I(p)),
         gains=ship,
-        identities=_identities((S, Si, Sf, Sfi), (Jc, H, J, W), J@Φ@D1),
+        identities=(*_identities((S, Si, Sf, Sfi), (Jc, H), J@Φ@D1), *more),
     )
 # fmt: on
 
@@ -216,17 +227,23 @@ def range_of(J: Array, rank: int) -> Array:
 
 
 # fmt: off
-def _identities(units: tuple[Expr, ...], parts: tuple[Expr, ...], left: Expr) -> tuple[Identity, ...]:
-    """What the reduction rests on: units, and a projector J onto the range of W that takes out what is decoupled."""
-    (S, Si, Sf, Sfi), (Jc, H, J, W) = units, parts
+def _identities(units: tuple[Expr, ...], parts: tuple[Expr, Expr], left: Expr) -> tuple[Identity, ...]:
+    """What the error system rests on: units, and that what is decoupled is."""
+    (S, Si, Sf, Sfi), (Jc, H) = units, parts
     return (
         Identity("S S⁻¹ = I", S@Si - I(S.shape[0])),
         Identity("S_f S_f⁻¹ = I", Sf@Sfi - I(Sf.shape[0])),
         Identity("J Φ₁ D₁ = 0: what is decoupled does not reach the error", left, ROUNDING),
+        *([Identity("no fault is read through H", Jc.T@H, ROUNDING)] if Jc.shape[1] else []),
+    )
+
+
+def _projector(H: Expr, J: Expr, W: Expr) -> tuple[Identity, ...]:
+    """J projects onto the range of W, and takes H with it."""
+    return (
         Identity("J H = 0", J@H, ROUNDING),
         Identity("Wᵀ J W = I", W.T@J@W - I(W.shape[1]), ROUNDING),
         Identity("W Wᵀ J = J: W spans what is left", W@W.T@J - J, ROUNDING),
-        *([Identity("no fault is read through H", Jc.T@H, ROUNDING)] if Jc.shape[1] else []),
     )
 # fmt: on
 

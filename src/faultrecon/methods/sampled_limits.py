@@ -72,7 +72,7 @@ def _decay(method: EulerPi, plant: Plant, alpha: float) -> Problem:
     Φ0 = method.model(plant, T0)
     H0 = method.decoupling(plant, Φ0)
     unscaled = Scaling(np.zeros(plant.n, np.int64), np.zeros(plant.p, np.int64))
-    m = sampled_letters(plant, method.channels(plant), unscaled, H0, np.ones(len(plant.faults)))
+    m = sampled_letters(plant, method.channels(plant), unscaled, H0, np.ones(len(plant.faults)), T0)
     T = m.gains["T"]
     P, Y, ℓ2 = unknown("P", m.nz, m.nz, symmetric=True), unknown("Y", m.nz, plant.p), unknown("ℓ²")
     X, PB = P @ m.A - Y @ m.C, P @ m.Bφ
@@ -102,7 +102,7 @@ def practical_bound(
     """
     T0 = float(gains["T"].item())
     unscaled = Scaling(np.zeros(plant.n, np.int64), np.zeros(plant.p, np.int64))
-    m = sampled_letters(plant, method.channels(plant), unscaled, gains["H"], np.ones(len(plant.faults)))
+    m = sampled_letters(plant, method.channels(plant), unscaled, gains["H"], np.ones(len(plant.faults)), T0)
     P, σ2, λ, α = unknown("P", m.nz, m.nz, symmetric=True), unknown("σ²"), unknown("λ"), unknown("α")
     T, D = m.gains["T"], given("reach", np.diag(reach))
     c = given("c", np.eye(1, len(plant.faults))) @ m.faults

@@ -69,22 +69,28 @@ def _stages(plant: Plant, T: float) -> Graph:
     return Graph.trace(moved, {"x": n + len(plant.faults), "u": len(plant.signals.u), "t": 1})
 
 
-def assembled(plant: Plant, own: Channels, gains: Mapping[str, Array], prediction: Prediction) -> Observer:
+def assembled(
+    plant: Plant, own: Channels, gains: Mapping[str, Array], prediction: Prediction, *, idempotent: bool = True
+) -> Observer:
     """The observer whose state [z; d̂] moves as predicted from [x̂_a; d̂], and by T L r and T F r.
 
     gains: T (1, 1), H (n+k, p), L (n+k, p), F (r, p); k faults are carried in x_a, r of them, or their rates, are d.
+    idempotent: z is the whole prediction and x̂_a = J z + H y; else z is J times it and x̂_a = z + H y.
     """
     n, (p, m), q, (k, r) = plant.n, plant.D.shape, len(plant.faults), own.sizes
     T, H, na = float(gains["T"].item()), gains["H"], plant.n + own.sizes[0]
     C = np.hstack([plant.C, plant.F_f @ own.carried])
-    move = T * np.vstack([prediction.Φ, np.zeros((k + r, n))])  # what ẋ does to the state in one sample time
+    J, whole = np.eye(na) - H @ C, np.eye(na + r)
+    if not idempotent:
+        J, whole[:na, :na] = np.eye(na), J
+    move = T * whole[:, :n] @ prediction.Φ  # what ẋ does to the state in one sample time
     K = T * np.vstack([gains["L"], gains["F"]])
-    Cx = np.hstack([np.eye(na) - H @ C, np.zeros((na, r))])  # x̂_a = Cx z + Dx v
+    Cx = np.hstack([J, np.zeros((na, r))])  # x̂_a = Cx z + Dx v
     Dx = np.hstack([-H @ plant.D, H])
     Cr, Dr = -C @ Cx, np.hstack([-plant.D, np.eye(p)]) - C @ Dx  # r = Cr z + Dr v
-    step = np.eye(na + r, na) + move @ np.hstack([plant.A, plant.E_f @ own.carried])
+    step = whole[:, :na] + move @ np.hstack([plant.A, plant.E_f @ own.carried])
     A, B = step @ Cx + K @ Cr, step @ Dx + K @ Dr
-    drives = T * np.eye(na + r, k, -n) @ own.carried.T if own.ramp else move @ plant.E_f
+    drives = T * whole[:, n:na] @ own.carried.T if own.ramp else move @ plant.E_f
     A[:, na:] += np.eye(na + r, r, -na) + drives @ own.driven
     B[:, :m] += move @ plant.B
     faults = own.carried @ np.eye(k, na, n)
@@ -94,8 +100,7 @@ def assembled(plant: Plant, own: Channels, gains: Mapping[str, Array], predictio
     if prediction.stages is not None and prediction.into is not None:
         reads, direct, free = np.vstack([Cx[:n], Cf]), np.vstack([Dx[:n], Df]), np.full(n + q, np.inf)
         offset = np.concatenate([point["x0"], np.zeros(q)])
-        into = np.vstack([prediction.into, np.zeros((k + r, prediction.into.shape[1]))])
-        nonlinear = NonlinearTerm(into, reads, offset, -free, free, prediction.stages, direct)
+        nonlinear = NonlinearTerm(whole[:, :n] @ prediction.into, reads, offset, -free, free, prediction.stages, direct)
     elif nonlinear is not None:
         sees = nonlinear.reads @ np.eye(n, na)
         ends = nonlinear.offset, nonlinear.lower, nonlinear.upper
@@ -111,6 +116,6 @@ def assembled(plant: Plant, own: Channels, gains: Mapping[str, Array], predictio
         nonlinear=nonlinear,
         copied=None if copied is None else CopiedTerm(move @ copied.into, copied.g),
         sample_time=T,
-        prior=np.eye(n, na + r),
+        prior=np.eye(n, na + r) if idempotent else None,
         **point,
     )
