@@ -18,7 +18,13 @@ from faultrecon.runtime.filling import Prediction
 from faultrecon.synthesis.certify import shipped
 from faultrecon.synthesis.levels import Posed, pose
 
-PLANT = fr.library("flexible_joint_sampled")
+LIBRARY = fr.library("flexible_joint_sampled")
+PLANT = replace(
+    LIBRARY,
+    faults=tuple(replace(f, size=1.0) for f in LIBRARY.faults),
+    disturbances=tuple(replace(d, size=1.0) for d in LIBRARY.disturbances),
+)
+"""The robot as the reference tables have it: a unit for the size of everything."""
 WEIGHTS = {"α": 2.0, "c₁": 10.0, "c₂": 3000.0, "c₃": 10.0}
 """The reference design minimises 10 γ₁² + 3000 γ₂² + 10 γ₃² at a decay of 2 1/s, with the default state weight."""
 FINE = 2.5e-4

@@ -340,9 +340,9 @@ def attenuating(plant: Plant) -> Plant:
 
 STATE_WEIGHT = 0.1
 """Of the state error, in declared ranges, against the fault error, in declared sizes: without it gains drift off."""
-NOISE_WEIGHT = 30.0
+NOISE_WEIGHT = 10.0
 """c₂ over c₁ and c₃: a disturbance may sit at its worst frequency, noise never does.  On the flexible joint the errors
-of reconstructed faults are least between 3, with declared sizes and rates, and 300, with units for sizes."""
+of reconstructed faults are least between 1 and 10."""
 
 
 def held_fixed(plant: Plant, m: SampledLetters) -> dict[str, Any]:

@@ -50,3 +50,20 @@ JIA_2015 = Paper(
     "Mathematical Problems in Engineering 2015, 741702",
     "10.1155/2015/741702",
 )
+
+JAZWINSKI_1970 = Paper(
+    "jazwinski1970",
+    "Jazwinski, A. H.",
+    1970,
+    "Stochastic processes and filtering theory",
+    "Academic Press, New York",
+)
+
+JULIER_2004 = Paper(
+    "julier2004",
+    "Julier, S. J.; Uhlmann, J. K.",
+    2004,
+    "Unscented filtering and nonlinear estimation",
+    "Proceedings of the IEEE 92(3), 401-422",
+    "10.1109/JPROC.2003.823141",
+)

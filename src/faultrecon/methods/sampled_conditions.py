@@ -23,13 +23,18 @@ beside its actuator fault: see tests/papers/test_jia2015.py."""
 
 def sampled_findings(plant: Plant, sample_time: float | None) -> list[Finding]:
     """Findings in the order in which they should be read; the first fatal one alone."""
-    found = fault_findings(plant) or _kind(plant, sample_time) or _channels(plant)
+    found = plain_findings(plant, sample_time)
     if found:
         return found
     found = decoupling_findings(plant)
     if any(f.severity == "fatal" for f in found):
         return found
     return found + _conditioning(plant)
+
+
+def plain_findings(plant: Plant, sample_time: float | None) -> list[Finding]:
+    """What every observer that is made for one sample time asks for: additive faults, noise, no way around the states."""
+    return fault_findings(plant) or _kind(plant, sample_time) or _channels(plant)
 
 
 def _kind(plant: Plant, sample_time: float | None) -> list[Finding]:
