@@ -5,9 +5,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from jia2015_case import PLANT, WEIGHTS, PlainEuler, PlainHeld, decoupling, reference
 
 import faultrecon as fr
+from faultrecon.advise.papers._jia2015_robot import WEIGHTS, PlainEuler, PlainHeld, reference, robot
 from faultrecon.diagnosis.conditions import constant_fault_matrix
 from faultrecon.graph.function import Graph
 from faultrecon.lmi.expr import Inequality, given
@@ -26,13 +26,14 @@ from faultrecon.methods.euler_pi import (
 )
 from faultrecon.methods.sampled_letters import sampled_letters
 from faultrecon.methods.sampled_limits import largest_lipschitz, longest_sample_time
-from faultrecon.plant.fault import FaultChannel
+from faultrecon.plant.fault import Disturbance, FaultChannel
 from faultrecon.plant.lipschitz import Lipschitz
 from faultrecon.plant.plant import Plant
 from faultrecon.synthesis.certify import certificate, proof_inequalities, prove
 from faultrecon.synthesis.levels import scale
 from faultrecon.testing import check_method
 
+PLANT = robot()
 H = np.outer([0.2, 2.0, 0.1, 0.3], [0.2, 2.0, 0.1]) / 4.05
 # What the reference tables were computed with: the inequality held 1e-7 inside, in the plant's own units.
 MARGIN = 1e-7
@@ -53,6 +54,12 @@ L_C = {
 }
 SPECTRAL_RADIUS = {(PlainEuler, 0.01): 0.858825, (PlainHeld, 0.01): 0.860832, (PlainEuler, 0.02): 0.725425}
 DESIGNS = list(REFERENCE)
+
+
+def decoupled(*into: dict[str, float]) -> Plant:
+    """The robot with these disturbances to decouple in place of the frame's."""
+    made = [Disturbance(f"frame{k}", one, role="decouple") for k, one in enumerate(into)]
+    return replace(PLANT, disturbances=(*made, PLANT.disturbances[1]))
 
 
 def matrix(text: str):
@@ -88,11 +95,11 @@ def test_the_noise_weighted_left_inverse_halves_the_noise_of_the_first_state():
 )
 def test_directions_that_cannot_be_decoupled_are_refused_for_the_right_reason(into, what):
     with pytest.raises(fr.Impossible, match=what):
-        fr.design(decoupling(*into), "euler-pi")
+        fr.design(decoupled(*into), "euler-pi")
 
 
 def test_a_direction_that_looks_like_the_fault_to_the_sensors_is_still_feasible():
-    posed = decoupling({"omega_m": 1.0, "omega_l": -0.4})
+    posed = decoupled({"omega_m": 1.0, "omega_l": -0.4})
     assert np.linalg.svd(constant_fault_matrix(posed))[1][-1] == pytest.approx(0.0145, rel=0.01)
     design = fr.design(posed, "euler-pi-euler", fix={**WEIGHTS, "α": 0.5})
     assert design.verification.verdict == "proved"
@@ -357,3 +364,8 @@ def test_the_pseudo_inverse_solution_decouples_and_is_not_idempotent():
     assert np.abs(J @ PLANT.E_w[:, [0]]).max() < 1e-12 and np.abs(J @ J - J).max() > 0.1
     nothing = method.decoupling(attenuating(PLANT), np.eye(4))
     assert np.abs(np.eye(4) - nothing @ PLANT.C - np.linalg.inv(np.eye(4) + PLANT.C.T @ PLANT.C)).max() < 1e-12
+
+
+def test_two_disturbances_are_decoupled_where_there_are_sensors_for_them():
+    plant = decoupled({"theta_m": 0.2, "theta_l": 1.0})
+    assert fr.design(plant, "euler-pi").verification.verdict == "proved"

@@ -171,7 +171,8 @@ class General:
         lay, nothing = self.layout, np.ones(self.layout.p, dtype=bool)
         held = np.concatenate((s[lay.v][: lay.m], np.zeros(lay.p)))
         for first in range(0, skipped, LONG):
-            t = t0 + self.sample_time * np.arange(first, min(first + LONG, skipped))
+            beats = np.arange(first, min(first + LONG, skipped), dtype=float)
+            t: Array = np.asarray(t0 + self.sample_time * beats, dtype=float)
             s = self.stepper(gone, nothing).run(s, t, np.tile(held, (len(t), 1)))[-1]
             gone = nothing
         return self.stepper(gone, missing).advance(s, t0 + skipped * self.sample_time, v)
