@@ -18,6 +18,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +26,7 @@ import numpy as np
 from tables import one_thread, table, turns
 
 import faultrecon as fr
+from faultrecon.runtime.estimator import Estimator
 
 H = 1e-3
 ROWS = 100_000
@@ -38,6 +40,7 @@ def main() -> None:
     engines(design)
     bulk(design)
     single(design)
+    injections()
     files(design)
     starts()
 
@@ -206,6 +209,31 @@ def single(design: fr.Design) -> None:
     base = cost["bare loop, two row reads"]
     rows = [{"per sample": k, "ns": s / count * 1e9, "times the bare loop": s / base} for k, s in cost.items()]
     table("stepping_4_samples", "Stepping: one sample at a time", rows)
+
+
+# ---------------------------------------------------------------- the implicit step of a sliding mode
+
+
+def injections() -> None:
+    """Sliding-mode observers against the same observers without the injection, over a log, by engine."""
+    rows = []
+    for name in ("two_mass", "admire", "fighter"):
+        made = fr.design(fr.library(name), "sliding-mode")
+        linear, N = replace(made.observer, injections=()), ROWS
+        rng = np.random.default_rng(2009)
+        t, m, p = np.arange(N) * 1e-2, len(made.observer.u0), len(made.observer.y0)
+        scale = made.plant.faults[0].size
+        u, y = (np.cumsum(rng.normal(size=(N, k)), axis=0) * 1e-2 * scale for k in (m, p))
+        for engine in ("casadi", "numba"):
+            both = {
+                "sliding mode": Estimator.build(made.observer, 1e-2, engine=engine),
+                "linear": Estimator.build(linear, 1e-2, engine=engine),
+            }
+            cost = turns({label: (lambda e=e, log=(t, u, y): e.replay(*log)) for label, e in both.items()})
+            per = {label: s / N * 1e9 for label, s in cost.items()}
+            ratio = cost["sliding mode"] / cost["linear"]
+            rows.append({"plant": name, "engine": engine, "ns per sample": per["sliding mode"], "times linear": ratio})
+    table("stepping_7_injections", "Stepping: the implicit step of a sliding mode", rows, f"{ROWS} samples at 10 ms.")
 
 
 # ---------------------------------------------------------------- from file to file

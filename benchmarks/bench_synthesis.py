@@ -165,7 +165,7 @@ def asked(a: Arrays) -> tuple[float, str]:
 
 
 def shipped(a: Arrays) -> float:
-    """gamma as the package solves it: a second time, in the units of the first answer."""
+    """gamma as the package solves it: where the dual leaves doubt, again in the units of the first answer."""
     from faultrecon.lmi.solve import solve
 
     return float(np.sqrt(solve(posed(a), tolerance=TOLERANCE).objective))

@@ -36,6 +36,7 @@ source_suffix = {".md": "myst-nb", ".rst": "restructuredtext"}
 
 myst_enable_extensions = ["dollarmath", "colon_fence", "deflist", "attrs_block", "attrs_inline"]
 myst_heading_anchors = 3
+smartquotes_action = "qe"  # quotes and ellipses; two hyphens are an option of the command line
 
 # Every page runs anew, so that no page shows what an older version printed; a cell that fails, fails the build.
 nb_execution_mode = "force"

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import assume, given, settings
+from hypothesis import assume, example, given, settings
 from hypothesis import strategies as st
 
 from faultrecon.diagnosis.existence import detectability_findings
@@ -13,6 +13,9 @@ from faultrecon.diagnosis.limits import reconstruction_floor
 from faultrecon.finding import FaultreconError
 from faultrecon.graph.function import Graph
 from faultrecon.io.library import read_library
+from faultrecon.lmi.expr import __, sym
+from faultrecon.methods.lipschitz_hinf import LipschitzHinf
+from faultrecon.methods.registry import offered
 from faultrecon.numerics.hinf import frequency_response
 from faultrecon.plant.fault import Disturbance, FaultChannel
 from faultrecon.plant.lipschitz import Lipschitz
@@ -114,6 +117,7 @@ REFERENCE = design(robot())
 
 @settings(max_examples=8, deadline=None)
 @given(st.lists(st.integers(-6, 6), min_size=4, max_size=4))
+@example([-6, 0, 5, -6])  # one route to the optimum claims a bound there that a point of the other refutes
 def test_units_of_the_states_change_neither_level_nor_reconstruction(powers):
     found = design(in_units(robot(), 10.0 ** np.array(powers)))
     assert found.optimum == pytest.approx(REFERENCE.optimum, rel=LEVEL)
@@ -144,6 +148,44 @@ def test_the_order_of_states_sensors_and_faults_changes_nothing(states, sensors,
     assert found.optimum == pytest.approx(REFERENCE.optimum, rel=LEVEL)
     assert found.floor == pytest.approx(REFERENCE.floor, rel=1e-8)  # bisection to 1e-9
     assert same_reconstruction(REFERENCE, found)
+
+
+class Restated(LipschitzHinf):
+    """Theorem 3.1 with its inequalities joined to block diagonals as `groups` says, and some of them stated twice."""
+
+    name = "restated"
+
+    def __init__(self, groups, twice):
+        self.groups, self.twice = groups, twice
+
+    def theorem(self, plant, scaling):
+        """No filter form: the level is then found from these inequalities alone."""
+        th = super().theorem(plant, scaling)
+        stated = list(zip(th.inequalities, self.groups, strict=True))
+        joined = [together([i for i, g in stated if g == group]) for group in sorted(set(self.groups))]
+        again = [th.inequalities[k].tagged(f"{th.inequalities[k].label}, again") for k in sorted(self.twice)]
+        return replace(th, inequalities=[*joined, *again], filter=None)
+
+
+def together(inequalities):
+    """One inequality on the block diagonal of the positive sides."""
+    first, *others = inequalities
+    for other in others:
+        label = f"{first.label}, {other.label}"
+        first = (sym([[first.positive, 0], [__, other.positive]]) > 0).tagged(label)
+    return first
+
+
+@settings(max_examples=8, deadline=None)
+@given(st.lists(st.integers(0, 2), min_size=3, max_size=3), st.sets(st.integers(0, 2)))
+def test_an_inequality_split_in_two_or_stated_twice_changes_nothing(groups, twice):
+    with offered(Restated(groups, twice)):
+        found = design(robot(), method="restated")
+        assert found.optimum == pytest.approx(REFERENCE.optimum, rel=LEVEL)
+        assert found.level == pytest.approx(REFERENCE.level, rel=LEVEL)
+        assert found.certificate.claim == REFERENCE.certificate.claim
+        assert found.verification.verdict == REFERENCE.verification.verdict
+        assert same_reconstruction(REFERENCE, found)
 
 
 @pytest.mark.parametrize("unit", [1e-6, 1e-3, 1e3, 1e6])

@@ -2,6 +2,7 @@
 """Floors are properties of the plant: no coordinates, no estimator and no second algorithm gets round them."""
 
 import warnings
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,10 +10,13 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from faultrecon.diagnosis.existence import detectability_findings
-from faultrecon.diagnosis.limits import reconstruction_floor
+from faultrecon.diagnosis.limits import reconstruction_floor, reconstruction_floors, slow_fault_floor
 from faultrecon.finding import Impossible, Inconclusive
-from faultrecon.numerics.hinf import hinf_norm
+from faultrecon.numerics.annihilator import annihilator, left_inverse
+from faultrecon.numerics.decay import distance_at_least
+from faultrecon.numerics.hinf import estimator_floor, frequency_response, hinf_norm, imitated
 from faultrecon.numerics.interpolation import hidden_mode_floor
+from faultrecon.numerics.pencil import SlowModes, detectability_margin
 from faultrecon.plant.fault import Disturbance, FaultChannel
 from faultrecon.plant.plant import Plant
 from faultrecon.plant.signals import Channels, Signals
@@ -130,6 +134,107 @@ def test_no_estimator_with_any_gains_goes_below_the_floor(seed, n, p):
         L, K = size * rng.standard_normal((n, p - q)), size * rng.standard_normal((q, p - q))
         gain = hinf_norm(plant.A - L @ C1, plant.E_w - L @ E1, C2 - K @ C1, E2 - K @ E1)
         assert gain.value >= floor * (1 - 1e-6)
+
+
+def noisy(rng, n, p, stable=True):
+    """A random plant with noise of its own on every sensor and a fault on each."""
+    A = rng.standard_normal((n, n)) / np.sqrt(n) - (1.5 if stable else 0.3) * np.eye(n)
+    B = np.hstack([rng.standard_normal((n, 2)), np.zeros((n, p))])
+    E = np.hstack([0.3 * rng.standard_normal((p, 2)), np.diag(10.0 ** rng.uniform(-2, 0, p))])
+    return linear(A, B, rng.standard_normal((p, n)), E, range(p))
+
+
+@given(SEEDS, st.integers(1, 12), st.integers(2, 5), st.booleans())
+@settings(max_examples=30, deadline=None)
+def test_floors_asked_together_are_those_asked_alone(seed, n, p, stable):
+    rng = np.random.default_rng(seed)
+    plant = noisy(rng, n, p, stable)
+    names = [f.name for f in plant.faults]
+    sets = [plant.with_faults([name]) for name in names] + [plant.with_faults(names[:2])]
+    for one, found in zip(sets, reconstruction_floors(sets), strict=True):
+        if found.kind != "disturbance":
+            continue
+        N, K = annihilator(one.F_f), left_inverse(one.F_f)
+        C, E = one.C, one.F_w
+        alone = estimator_floor(one.A, one.E_w, N @ C, N @ E, K @ C, K @ E).value
+        # Each is within 2e-9 of the supremum, from below, and evaluated with rounding below 1e-6 of itself.
+        assert found.value == pytest.approx(alone, rel=1e-6)
+
+
+@given(SEEDS, st.integers(1, 12), st.integers(2, 5))
+@settings(max_examples=30, deadline=None)
+def test_the_floor_of_a_set_is_above_every_frequency_of_a_dense_grid(seed, n, p):
+    plant = noisy(np.random.default_rng(seed), n, p)
+    one = plant.with_faults([plant.faults[0].name])
+    floor = reconstruction_floor(one).value
+    Y = frequency_response(one.A, one.E_w, one.C, one.F_w, np.concatenate([[0.0], np.geomspace(1e-4, 1e4, 2000)]))
+    S = np.linalg.inv(Y @ Y.conj().transpose(0, 2, 1))
+    assert np.sqrt(1 / S[:, 0, 0].real.min()) <= floor * (1 + 1e-8)  # a covariance of 10 decades keeps half its digits
+
+
+@given(SEEDS, st.integers(1, 10), st.integers(1, 3), st.booleans(), st.booleans())
+@settings(max_examples=40, deadline=None)
+def test_the_certain_distance_never_exceeds_the_one_that_is_found_by_search(seed, n, p, stable, sampled):
+    from scipy.linalg import expm
+
+    plant = random_plant(np.random.default_rng(seed), n, p + 1, 1, stable)
+    A, C = (expm(plant.A) if sampled else plant.A), plant.C[:p]
+    slow = SlowModes.of(A, C, sampled=sampled)
+    certain = distance_at_least(slow)
+    # The search reports an upper bound, so the certain bound lies below it, in the same balanced units.
+    assert 0 <= certain <= detectability_margin(A, C, sampled=sampled) * (1 + 1e-9)
+
+
+def test_a_well_behaved_model_needs_no_search():
+    rng = np.random.default_rng(0)
+    for growing in (0, 2):
+        A, C1, C2 = hidden(rng, 12, 2, 1, p1=3, growing=bool(growing))
+        assert distance_at_least(SlowModes.of(A, np.vstack([C1, C2]))) > 1e-4
+
+
+@given(SEEDS, st.integers(1, 8), st.integers(2, 4), st.floats(0.0, 10.0))
+@settings(max_examples=30, deadline=None)
+def test_what_disturbances_imitate_is_what_the_best_estimate_leaves(seed, n, p, w):
+    """For faults on sensors the null space of the pencil and the projection of the response are one number."""
+    plant = noisy(np.random.default_rng(seed), n, p).with_faults(["f0"])
+    found = imitated(plant.A, plant.E_w, plant.C, plant.F_w, plant.E_f, plant.F_f, 1j * w)
+    Y = frequency_response(plant.A, plant.E_w, plant.C, plant.F_w, [w])[0]
+    S = np.linalg.inv(Y @ Y.conj().T)
+    assert found == pytest.approx(1 / np.sqrt(S[0, 0].real), rel=1e-6)
+
+
+def leaking(plant, B):
+    """The plant with one input, whose actuator may fail, in place of its other faults."""
+    signals = replace(plant.signals, u=Channels(("u",)))
+    leak = FaultChannel("leak", {"u": 1.0}, site="actuator")
+    D = np.zeros((plant.p, 1))
+    return replace(plant, signals=signals, B=B, D=D, faults=(leak,), operating_point=None)
+
+
+@given(SEEDS, st.integers(2, 8), st.integers(2, 4))
+@settings(max_examples=30, deadline=None)
+def test_no_estimator_that_follows_a_constant_actuator_fault_goes_below_its_floor(seed, n, p):
+    rng = np.random.default_rng(seed)
+    plant = noisy(rng, n, p)
+    plant = leaking(plant, rng.standard_normal((n, 1)))
+    floor = slow_fault_floor(plant)
+    steady = -np.linalg.solve(plant.A, np.hstack([plant.B, plant.E_w]))
+    gain, Y = plant.C @ steady[:, 0], plant.C @ steady[:, 1:] + plant.F_w
+    for _ in range(5):
+        M = rng.standard_normal(p)
+        M = M / (M @ gain)  # any readout at rest that shows the fault in its size
+        assert np.linalg.norm(M @ Y) >= floor.value * (1 - 1e-6)
+    assert floor.kind == "slow fault"
+    assert slow_fault_floor(replace(plant, faults=(replace(plant.faults[0], rate=2.0),))).value >= floor.value * (
+        1 - 1e-9
+    )
+
+
+def test_an_actuator_fault_of_an_integrator_has_a_floor_at_rest_although_its_response_is_infinite_there():
+    # x' = f + w1, y = x + w2: at rest w1 = -f hides the fault, and nothing else does.
+    plant = linear(np.zeros((1, 1)), np.array([[1.0, 0.0]]), np.ones((1, 1)), np.array([[0.0, 1.0]]), [])
+    plant = leaking(plant, np.ones((1, 1)))
+    assert slow_fault_floor(plant).value == pytest.approx(1.0, rel=1e-12)
 
 
 @given(SEEDS, st.integers(1, 12), st.booleans())

@@ -95,6 +95,36 @@ def test_both_examples_have_the_optimum_that_an_independent_modelling_layer_find
     assert posed.optimum().objective / posed.theorem.unit**2 == pytest.approx(reference, rel=2e-5)
 
 
+def optimum_and_calls(monkeypatch, problem):
+    """The optimum, and how often the solver was asked for it."""
+    real, calls = conic._clarabel, []
+
+    def counted(*args):
+        calls.append(args)
+        return real(*args)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(conic, "_clarabel", counted)
+        return solve(problem), len(calls)
+
+
+def test_an_optimum_that_its_dual_settles_is_computed_once(monkeypatch):
+    v = scalar("v")
+    outcome, calls = optimum_and_calls(monkeypatch, Problem([sym([[v, 2.0 * I(1)], [__, 4.0 * I(1)]]) > 0], v))
+    assert outcome.objective == pytest.approx(1.0, rel=conic.SETTLED)  # v > 2 * 2 / 4
+    assert calls == 1
+
+
+@pytest.mark.parametrize("small", [1e-8, 1e-6, 1e-4])
+def test_an_optimum_far_from_one_is_found_to_the_digits_that_are_promised(monkeypatch, small):
+    v, w = scalar("v"), scalar("w")
+    # v > small and w < 1/small with their sum minimised over v alone: units apart by the square of `small`.
+    corner = sym([[w, 1.0 * I(1)], [__, v]]) > 0
+    outcome, calls = optimum_and_calls(monkeypatch, Problem([corner, 1 / small - w > 0], v))
+    assert outcome.objective == pytest.approx(small, rel=conic.SETTLED)
+    assert calls > 1 or small == 1e-4
+
+
 def test_a_first_order_solver_agrees_where_the_gains_stay_moderate():
     data = parts(read_library("lipschitz_polynomial"))[:-1]
     status, reference = oracle(*data, 0.5, solver="SCS")
@@ -158,7 +188,7 @@ def test_an_infeasibility_without_a_valid_dual_is_unknown(monkeypatch, spoil):
     problem = Problem([v - 1 > 0, -1 * v > 0])
     real = conic._clarabel
 
-    def lying(data, tolerance, time_limit):
+    def lying(data, tolerance, time_limit, *_):
         answer = real(data, tolerance, time_limit)
         return SimpleNamespace(status=answer.status, iterations=1, x=answer.x, z=spoil(np.array(answer.z)))
 

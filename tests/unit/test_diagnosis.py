@@ -34,7 +34,9 @@ STABLE = np.array([[-1.0, 0.5], [0.0, -2.0]])
 
 def test_a_plant_that_declares_no_fault_says_so():
     (found,) = fault_findings(plant(STABLE, np.eye(2), []))
-    assert str(found) == "tank declares no fault; add a [[fault]] table to the plant file"
+    assert (
+        str(found) == "tank declares no fault: there is nothing to reconstruct; add a [[fault]] table to the plant file"
+    )
     assert not diagnose(plant(STABLE, np.eye(2), [])).possible
 
 
@@ -169,3 +171,62 @@ def test_a_diagnosis_is_plain_values_for_json():
 
     found = diagnose(read_library("lipschitz_aircraft"))
     assert json.loads(json.dumps(found.as_dict()))["together"]["possible"] is True
+
+
+def test_where_nothing_was_asked_nothing_is_called_impossible():
+    for asked in (plant(STABLE, np.eye(2), []), plant(STABLE, np.eye(2), [{"y2": 1.0}], disturbances=())):
+        assert "cannot be reconstructed" not in str(diagnose(asked))
+    (calm,) = diagnose(asked).notes
+    assert calm.severity == "warning"
+    assert "declares no disturbance" in calm.what
+    assert diagnose(asked).possible
+
+
+def test_a_sensor_that_counts_as_exact_is_pointed_out_with_what_to_declare():
+    noise = Disturbance("noise", on={"y1": 1.0})
+    (found,) = diagnose(plant(STABLE, np.eye(2), [{"y1": 1.0}], (*PUSH, noise))).notes
+    assert found.what == "no disturbance acts on y2, so it counts as exact when healthy"
+    assert "on = { y2 = 1.0 }" in found.remedies[0]
+    assert found.severity == "note"
+    # The only faulty sensor is never relied upon, so its noise is no matter of trust.
+    assert diagnose(plant(STABLE, np.eye(2), [{"y2": 1.0}], (*PUSH, noise))).notes == ()
+
+
+def test_a_zero_floor_is_said_in_words():
+    exact = plant(STABLE, np.eye(2), [{"y2": 1.0}])  # the disturbance does not reach y2, and y1 counts as exact
+    assert diagnose(exact).together.floor == 0
+    assert "no level is too small" in str(diagnose(exact))
+
+
+@pytest.mark.parametrize(
+    ("unit", "coefficient", "odd"), [("deg", 1.0, True), ("deg", 57.3, False), ("rad", 1.0, False)]
+)
+def test_a_coefficient_of_one_between_different_units_is_worth_a_warning(unit, coefficient, odd):
+    base = plant(STABLE, coefficient * np.eye(2)[:1], [], (*PUSH, Disturbance("noise", on={"y1": 1.0})))
+    x, y = Channels(("x1", "x2"), ("rad", "rad/s")), Channels(("y1",), (unit,))
+    notes = diagnose(replace(base, signals=replace(base.signals, x=x, y=y))).notes
+    assert len(notes) == odd
+    if odd:
+        assert notes[0].what == "y1 [deg] reads x1 [rad] with a coefficient of exactly 1, though the units differ"
+        assert notes[0].severity == "warning"
+        assert "how many deg one rad is" in notes[0].remedies[0]
+
+
+def test_what_is_not_printed_is_not_computed(monkeypatch):
+    from faultrecon.diagnosis import conditions
+
+    def never(*_, **__):
+        raise AssertionError("the distances were asked for")
+
+    monkeypatch.setattr(conditions, "nearest_undetectable", never)
+    found = diagnose(plant([[0.1, 0.0], [0.0, -1.0]], np.eye(2), [{"y2": 1.0}], PUSH))
+    assert found.possible
+    assert str(found)
+    with pytest.raises(AssertionError, match="distances"):
+        _ = found.together.conditions
+
+
+def test_a_hidden_growing_mode_forbids_exactness_alone():
+    growing = plant([[0.5, 0.0], [0.0, -1.0]], np.eye(2), [{"y1": 1.0}])
+    assert "f1: cannot be reconstructed exactly" in str(diagnose(growing))
+    assert "at best an error of 2 s times the rate of the fault" in str(diagnose(growing))

@@ -1,15 +1,17 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Which sensor would help is answered with the floor it would give, and combinations of faults as a table."""
 
+import re
 from dataclasses import replace
 from itertools import combinations
 
 import numpy as np
 import pytest
 
+from faultrecon.cli.checking import examined
 from faultrecon.diagnosis.diagnosis import diagnose
 from faultrecon.diagnosis.existence import additive_sensor_findings, assumptions
-from faultrecon.diagnosis.limits import Floor, reconstruction_floor
+from faultrecon.diagnosis.limits import Floor, reconstruction_floor, slow_fault_floor
 from faultrecon.diagnosis.sensors import Candidate, fault_sets, rank_sensors, what_would_help, with_sensor
 from faultrecon.finding import InputError
 from faultrecon.io.library import read_library
@@ -71,7 +73,7 @@ def test_an_extra_healthy_sensor_never_raises_the_floor_and_a_quieter_one_ranks_
 def test_every_state_is_a_candidate_by_default_and_the_floors_are_in_order():
     options = rank_sensors(AIRLINER)
     assert sum(o.kind == "add" for o in options) == AIRLINER.n
-    floors = [o.floor.value for o in options if o.possible]
+    floors = [float(f"{o.floor.value:.6g}") for o in options if o.possible]
     assert floors == sorted(floors)
 
 
@@ -168,3 +170,97 @@ def test_every_assumption_carries_its_distance_and_its_source():
         assert condition.holds
         assert 0 < condition.distance <= 1
         assert condition.see
+
+
+# ---------------------------------------------------------------- sensors in words
+
+
+@pytest.mark.parametrize(
+    ("text", "reads", "noise", "unit"),
+    [
+        ("sonar on position", {"position": 1.0}, 0.0, "m"),
+        ("sonar on position=1 noise=0.01", {"position": 1.0}, 0.01, "m"),
+        ("  sonar on position = 2  velocity=-0.5 noise = 1e-3", {"position": 2.0, "velocity": -0.5}, 1e-3, ""),
+    ],
+)
+def test_a_sensor_in_words_reads_what_it_says(text, reads, noise, unit):
+    base = mass("encoder")
+    plant = replace(base, signals=replace(base.signals, x=Channels(base.signals.x.names, ("m", "m/s"))))
+    assert Candidate.from_text(text, plant) == Candidate("sonar", reads, noise, unit)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("sonar", "written 'name on state=coefficient noise=size', for example 'extra on position=1 noise=0.01'"),
+        ("sonar reads position", "it is written"),
+        ("sonar on positon", "reads 'positon', which is no state: did you mean 'position'"),
+        ("sonar on position nois=0.1", "did you mean 'noise'"),
+        ("sonar on position=one", "position=one: that is no finite number"),
+        ("sonar on position noise", "noise=: that is no finite number"),
+        ("sonar on position position=2", "names position twice"),
+        ("tacho on position", "name of another signal"),
+        ("2x on position", "no signal name"),
+    ],
+)
+def test_a_sensor_in_words_that_makes_no_sense_is_refused_with_the_form(text, message):
+    with pytest.raises(InputError, match=re.escape(message)):
+        Candidate.from_text(text, mass("encoder"))
+
+
+def test_check_ranks_the_sensors_that_are_offered_beside_its_own():
+    plant = mass("encoder", "laser")
+    possible, data, text = examined(plant, False, ["sonar on position noise=0.01"])
+    assert not possible
+    assert "add a healthy sensor sonar (reads position, noise 0.01): possible" in text
+    assert "add a healthy sensor velocity: does not help" in text
+    rows = {row["sensor"]: row for row in data["sensors"]}
+    assert rows["sonar"]["possible"]
+    assert rows["sonar"]["reads"] == {"position": 1.0}
+    assert rows["sonar"]["noise"] == 0.01
+    assert "fault_sets" not in data
+
+
+def test_the_command_line_takes_a_sensor_and_mends_its_spelling(cli):
+    code, out, _ = cli("check", "airliner", "--sensor", "probe on alpha noise=0.01")
+    assert code == 0
+    assert "probe (reads alpha, noise 0.01 rad): possible, floor" in out
+    code, _, err = cli("check", "airliner", "--sensor", "probe on alfa")
+    assert code == 2
+    assert "did you mean 'alpha'?" in err
+
+
+def test_the_floor_of_an_offered_sensor_falls_with_its_noise():
+    state = AIRLINER.signals.x.names[0]
+    texts = [f"extra{k} on {state} noise={noise}" for k, noise in enumerate((10.0, 0.1, 1e-3))]
+    options = rank_sensors(AIRLINER, [Candidate.from_text(t, AIRLINER) for t in texts], protect=False)
+    assert [o.name for o in options] == ["extra2", "extra1", "extra0"]
+
+
+# ---------------------------------------------------------------- actuator faults
+
+
+def test_the_floor_of_an_actuator_fault_says_that_it_holds_at_rest_and_what_would_bound_a_moving_one():
+    leak = FaultChannel("motor loss", {"force": 1.0}, site="actuator")
+    found = diagnose(replace(mass(), faults=(leak,)))
+    # The push enters exactly like the force: one unit of it hides one unit of the fault.
+    assert found.together.limit.value == pytest.approx(1.0)
+    assert found.together.floor is None
+    assert "no estimator that follows a constant fault can guarantee less than γ = 1" in str(found)
+    (note,) = found.together.findings
+    assert note.severity == "note"
+    assert note.evidence["floor at rest"] == found.together.limit.value
+    assert "rate = ..." in note.remedies[0]
+    moving = diagnose(replace(mass(), faults=(replace(leak, rate=5.0),))).together
+    assert moving.findings == ()
+    assert "follows faults up to 5 rad/s" in str(moving.limit)
+    # Noise of a millimetre and the inertia of the mass: above 1 rad/s the sensors matter more than the push.
+    assert moving.limit.value > 1.0
+
+
+def test_sensors_are_ranked_by_the_floor_of_actuator_faults_too():
+    leak = FaultChannel("motor loss", {"force": 1.0}, site="actuator", rate=50.0)
+    plant = replace(mass(), faults=(leak,))
+    options = rank_sensors(plant, ["velocity"], protect=False)
+    assert options[0].floor.kind == "slow fault"
+    assert options[0].floor.value <= slow_fault_floor(plant).value

@@ -39,6 +39,29 @@ def process(app: Sphinx, what: str, name: str, obj: Any, options: Any, lines: li
     lines[:] = restructured(lines)
 
 
+READABLE = (
+    (r"~?(?:\w+\.)*ndarray\[tuple\[~?(?:typing\.)?Any, \.\.\.\], ~?(?:numpy\.)?dtype\[[^\[\]]*\]\]", "Array"),
+    (r"TypeAliasForwardRef\('(\w+)'\)", r"\1"),
+    (r"~(?:\w+\.)+", ""),  # the short name of a type
+    (r"<factory>", "..."),  # a default that is made anew, such as an empty mapping
+)
+
+
+def readable(signature: str) -> str:
+    """A signature as one would write it; Sphinx can then set it argument by argument, with links."""
+    for pattern, written in READABLE:
+        signature = re.sub(pattern, written, signature)
+    return signature
+
+
+def process_signature(
+    app: Sphinx, what: str, name: str, obj: Any, options: Any, signature: str | None, returns: str | None
+) -> tuple[str | None, str | None]:
+    """The event of autodoc."""
+    return signature and readable(signature), returns and readable(returns)
+
+
 def setup(app: Sphinx) -> None:
-    """Run for every docstring."""
+    """Run for every docstring and signature."""
     app.connect("autodoc-process-docstring", process)
+    app.connect("autodoc-process-signature", process_signature)

@@ -14,7 +14,7 @@ from faultrecon_docs.text import page
 
 def write_bibliography(docs: Path) -> None:
     """Write the papers of all methods in BibTeX, into the documentation's folder."""
-    write(docs / "papers" / "papers.bib", papers.bibliography())
+    write(docs / "papers" / "papers.bib", papers.bibliography((docs / "references.bib").read_text(encoding="utf-8")))
 
 
 def write_pages(docs: Path, warn: Warn) -> None:

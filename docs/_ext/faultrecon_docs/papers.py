@@ -16,13 +16,15 @@ from typing import Any
 from faultrecon.advise.reproductions import Comparison, reproduce, reproducible
 from faultrecon.finding import FaultreconError, Impossible, Inconclusive
 from faultrecon.io.library import library_names, read_library
+from faultrecon.lmi.expr import Inequality
 from faultrecon.lmi.typeset import definitions_latex, inequality_latex, latex, letter_latex
 from faultrecon.lmi.walk import leaves
-from faultrecon.methods.base import Method, Paper, Theorem
+from faultrecon.methods.base import Method, Paper, Theorem, Unproved
 from faultrecon.methods.registry import all_methods
 from faultrecon.plant.plant import Plant
 from faultrecon.synthesis.levels import scale
 from faultrecon.synthesis.pipeline import optimum
+from faultrecon_docs.rewriting import printed_latex, shipped_latex
 from faultrecon_docs.text import (
     code,
     code_block,
@@ -55,8 +57,6 @@ def paper_page(
     notes: Markdown about this method in particular; numbers: further tables of its paper; figures: Markdown that shows
     its figures; warn: told of every reproduction that does not come out as its reference.
     """
-    name, plant = example(method)
-    theorem = method.theorem(plant, scale(plant))
     return page(
         f"({anchor(method)})=\n# {method.name}",
         sentence(method.summary),
@@ -67,14 +67,7 @@ def paper_page(
         "## Assumptions",
         prose(inspect.getdoc(type(method).assumptions) or ""),
         *_who_meets_them(method),
-        f"## Theorem {prose(theorem.number)}" if _numbered(theorem) else "## The inequality",
-        prose(inspect.getdoc(_statement(method, theorem)) or ""),
-        *_theorem(theorem),
-        "## What is claimed",
-        f"> {sentence(theorem.claim)}",
-        f"The scope that every design states with it; here for the library plant {code(name)}:",
-        f"> {sentence(theorem.scope)}",
-        *_premises(theorem),
+        *(_claims_nothing(method) if isinstance(method, Unproved) else _claims(method)),
         *_printed(method, warn),
         notes,
         *_variants(method),
@@ -83,14 +76,41 @@ def paper_page(
     )
 
 
+def _claims(method: Method) -> list[str]:
+    """The theorem, what it promises, and on what."""
+    name, plant = example(method)
+    theorem = method.theorem(plant, scale(plant))
+    return [
+        _heading(theorem),
+        prose(inspect.getdoc(_statement(method, theorem)) or ""),
+        *_theorem(theorem),
+        "## What is claimed",
+        f"> {sentence(theorem.claim)}",
+        f"The scope that every design states with it; here for the library plant {code(name)}:",
+        f"> {sentence(theorem.scope)}",
+        *_premises(theorem),
+    ]
+
+
+def _claims_nothing(method: Unproved) -> list[str]:
+    """The gains of a baseline without a theorem."""
+    return [
+        "## The gains",
+        prose(inspect.getdoc(type(method).gains_without_proof) or ""),
+        f"They are picked by: {prose(method.criterion)}.",
+        "## What is claimed",
+        "> Nothing: a design by this baseline carries no certificate.",
+    ]
+
+
 def anchor(method: Method) -> str:
     """What other pages call this page."""
     return f"method-{method.name}"
 
 
-def bibliography() -> str:
-    """The papers of all methods in BibTeX, from the methods."""
-    papers = {m.paper.key: m.paper for m in all_methods().values()}
+def bibliography(cited: str = "") -> str:
+    """The papers of all methods in BibTeX, from the methods, but for those that are cited elsewhere too."""
+    papers = {m.paper.key: m.paper for m in all_methods().values() if f"{{{m.paper.key}," not in cited}
     return "% Written from the methods when the pages are built.\n" + "\n".join(_entry(p) for p in papers.values())
 
 
@@ -114,7 +134,8 @@ def source(method: Method) -> str:
 
 
 def _entry(paper: Paper) -> str:
-    fields = {"author": paper.authors, "year": str(paper.year), "title": f"{{{paper.title}}}", "journal": paper.venue}
+    authors = " and ".join(author.strip() for author in paper.authors.split(";"))
+    fields = {"author": authors, "year": str(paper.year), "title": f"{{{paper.title}}}", "journal": paper.venue}
     if paper.doi:
         fields["doi"] = paper.doi
     inner = ",\n".join(f"  {key} = {{{value}}}" for key, value in fields.items())
@@ -132,9 +153,23 @@ def _notation(method: Method) -> list[str]:
             parts.append(_dictionary(text))
         elif text.startswith("    "):
             parts.append(code_block(inspect.cleandoc(text)))
+        elif "\n    " in text:
+            parts.append(_terms(text))
         else:
             parts.append(prose(text))
     return parts
+
+
+def _terms(text: str) -> str:
+    """Terms that begin a line, each with its text beside it, as a list."""
+    items: list[str] = []
+    for line in text.splitlines():
+        if line.startswith(" ") and items:
+            items[-1] += f" {line.strip()}"
+        else:
+            term, _, said = line.partition("  ")
+            items.append(f"- *{prose(term)}*: {prose(said.strip())}" if said else f"- {prose(term)}")
+    return "\n".join(items)
 
 
 def _dictionary(text: str) -> str:
@@ -165,49 +200,23 @@ def _statement(method: Method, theorem: Theorem) -> Callable[..., Theorem]:
     return getattr(type(method), f"theorem_{theorem.number.replace('.', '_')}", type(method).theorem)
 
 
-def _numbered(theorem: Theorem) -> bool:
-    return theorem.number[:1].isdigit()
+def _heading(theorem: Theorem) -> str:
+    """Theorems are numbered within sections, 3.1; a plain number is that of an inequality."""
+    if not theorem.number[:1].isdigit():
+        return "## The inequality"
+    return f"## Theorem {theorem.number}" if "." in theorem.number else f"## Inequality ({theorem.number})"
 
 
 # ---------------------------------------------------------------- the theorem
 
 
-def printed_latex(text: str) -> str:
-    """The typeset expression as a reader writes it: stars as asterisks, plant letters with a p, powers as powers."""
-    text = text.replace(r"\star", r"\ast").replace(r"^{\mathrm{plant}}", "^{p}")
-    for pattern, written in REWRITTEN:
-        text = re.sub(pattern, written, text)
-    return text
-
-
-REWRITTEN = (
-    (r"(\\[a-z]+)\^\{p\} \1\^\{p\}", r"(\1^{p})^{2}"),  # α α
-    (r"V\^\{-1\}", "(V^{p})^{-1}"),
-    (r"(U )?\\gamma \1\\gamma", lambda found: r"(U \gamma)^{2}" if found[1] else r"\gamma^{2}"),
-    (r"\bU U\b", r"U^{2}"),
-    (r"U\^\{-1\} U\^\{-1\}", r"U^{-2}"),
-    (r"(\\[a-z]+\^\{p\}) (\d) ", r"\2 \1 "),  # a number comes first
-    (r"\(-([^()&]*?)\) (?=I|\()", r"-\1 "),  # (-β) I
-    (r"\\mathrm\{([A-Z])(\d)\}", r"\1_{\2}"),
-)
-
-
-def shipped_latex(text: str, theorem: Theorem) -> str:
-    """The same with a raised s on what ships: the gains that run, in the plant's units, and the level γ.
-
-    Without the mark K₁, an unknown of the inequality, and the gain made from it would look alike.
-    """
-    for name in ("γ", *(gain.name for gain in theorem.gains)):
-        letter = re.escape(letter_latex(name))
-        text = re.sub(rf"(?<![A-Za-z\\]){letter}(?![A-Za-z^_])", lambda found: found[0] + "^{s}", text)
-    return printed_latex(text)
-
-
 def _theorem(theorem: Theorem) -> list[str]:
     minimised = printed_latex(latex(theorem.minimise))
     unknowns = leaves([i.expr for i in theorem.inequalities], "unknown")
-    free = [letter_latex(n) for n in (node.args[0] for node in unknowns.values()) if n not in theorem.fixed]
-    fixed = [f"${letter_latex(k)} = {v:g}$" for k, v in theorem.fixed.items()]
+    free = [
+        printed_latex(letter_latex(n)) for n in (node.args[0] for node in unknowns.values()) if n not in theorem.fixed
+    ]
+    fixed = [f"${printed_latex(letter_latex(k))} = {v:g}$" for k, v in theorem.fixed.items()]
     text = f"Minimise ${minimised}$ over ${', '.join(free)}$"
     text += f", with {', '.join(fixed)} unless it is set free with `free=`," if fixed else ","
     own = [f"{shipped_latex(latex(k), theorem)} = {printed_latex(latex(v))}" for k, v in theorem.gains.items()]
@@ -280,9 +289,7 @@ def _variants(method: Method) -> list[str]:
     for other in all_methods().values():
         if other.variant_of != method.name:
             continue
-        _, plant = example(other)
-        base = {i.label for i in method.theorem(plant, scale(plant)).inequalities}
-        more = [i for i in other.theorem(plant, scale(plant)).inequalities if i.label not in base]
+        more = [] if isinstance(other, Unproved) else _added(method, other)
         parts += [
             f"## Variant: {other.name}",
             sentence(other.summary),
@@ -296,7 +303,16 @@ def _variants(method: Method) -> list[str]:
     return parts
 
 
+def _added(method: Method, other: Method) -> list[Inequality]:
+    """The inequalities of a variant that the method itself does not have, by their labels."""
+    _, plant = example(other)
+    base = {i.label for i in method.theorem(plant, scale(plant)).inequalities}
+    return [i for i in other.theorem(plant, scale(plant)).inequalities if i.label not in base]
+
+
 def _compared(method: Method, other: Method) -> list[str]:
+    if isinstance(method, Unproved) or isinstance(other, Unproved):
+        return []
     plants = dict.fromkeys(r.plant for r in method.reproductions)
     rows = [[code(p), *(_answer(p, m) for m in (method, other))] for p in plants]
     return ["Smallest level:", table(["plant", method.name, other.name], rows)] if rows else []

@@ -1,14 +1,14 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The demonstration on recorded data: an airliner whose sensors drift, shift and weaken.
+"""What the demonstrations on recorded flights share: the shipped logs, the table of scores, and the files they write.
 
-The logs are flights of JSBSim's nonlinear 737 that ship with the package; the design sees the linear plant file and the
-recorded inputs and measurements, nothing else.
+The logs are flights of JSBSim's nonlinear aircraft that ship with the package; a design sees the linear plant file and
+the recorded inputs and measurements, nothing else.  Each demonstration is a file of its own: `airliner`, `fighter`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from importlib.resources import as_file, files
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -17,131 +17,118 @@ import numpy as np
 
 from faultrecon.finding import InputError
 from faultrecon.io.designfile import write_design
-from faultrecon.io.library import read_library
 from faultrecon.io.logs import Log, read_log, write_log
-from faultrecon.io.playback import Replay, replay
+from faultrecon.io.playback import Replay
+from faultrecon.plant.plant import Plant
 from faultrecon.simulation.metrics import FaultScore
-from faultrecon.synthesis.pipeline import design
 from faultrecon.synthesis.result import Design
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-FAULTS = {
-    "pitch_rate": "pitch-rate gyro drifts",
-    "pitch_angle": "pitch-angle sensor gets a bias",
-    "roll_rate": "roll-rate gyro loses effectiveness",
-    "all_three": "all three at once",
-    "healthy": "all sensors healthy",
-}
-AIR = ("calm", "gust")
-SHOWN = "pitch_rate_calm"
 DEGREES = 180.0 / np.pi
 
 
 @dataclass(frozen=True)
 class Row:
-    """One fault in one log: scores of the design and of the open loop (no correction scores 1 by definition)."""
+    """One fault in one log: scores by method, baselines first (no correction scores 1 by definition)."""
 
     log: str
     fault: str
-    design: FaultScore
-    open_loop: FaultScore
+    scores: Mapping[str, FaultScore]
+
+    def __getitem__(self, method: str) -> FaultScore:
+        return self.scores[method]
+
+    @property
+    def acts(self) -> bool:
+        """Whether the fault ever acts in this log."""
+        return any(np.isfinite(s.nrmse) for s in self.scores.values())
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain values for `--json`."""
+        return {"log": self.log, "fault": self.fault, **{name: s.as_dict() for name, s in self.scores.items()}}
 
 
 @dataclass(frozen=True, eq=False)
 class Demonstration:
-    """What the demonstration found and wrote."""
+    """What a demonstration found and wrote.
+
+    lines: what the text says beyond design and scores.  found: the same as plain values for `--json`.
+    """
 
     design: Design
     rows: tuple[Row, ...]
     written: tuple[Path, ...]
     note: str = ""
+    lines: tuple[str, ...] = ()
+    found: Mapping[str, Any] = field(default_factory=dict)
 
     def as_dict(self) -> dict[str, Any]:
         """Plain values for `--json`."""
-        rows = [
-            {"log": r.log, "fault": r.fault, "lipschitz-hinf": r.design.as_dict(), "open-loop": r.open_loop.as_dict()}
-            for r in self.rows
-        ]
-        written = [str(p) for p in self.written]
-        return {"design": self.design.as_dict(), "rows": rows, "written": written, "note": self.note}
+        rows, written = [r.as_dict() for r in self.rows], [str(p) for p in self.written]
+        return {"design": self.design.as_dict(), "rows": rows, **self.found, "written": written, "note": self.note}
 
     def __str__(self) -> str:
-        lines = [self.design.report(), "", *_table(self.rows), ""]
+        lines = [self.design.report(), "", *score_table(self.rows), ""]
+        lines += [*self.lines, ""] if self.lines else []
         lines += [f"wrote {path}" for path in self.written]
         return "\n".join([*lines, self.note] if self.note else lines)
 
 
-def airliner_demo(out: Path, progress: Callable[[float], None] | None = None) -> Demonstration:
-    """Design once for three faults, replay the shipped logs, score them, and write figure, corrected log and design.
-
-    out: folder, made if it does not exist.  Raises InputError when it cannot be written.
-    """
-    tell = progress or (lambda part: None)
+def made_folder(out: Path) -> Path:
+    """The folder, made if it does not exist.  Raises InputError when it cannot be."""
     try:
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise InputError(f"{out}: cannot be made a folder", why=str(error.strerror or error)) from error
-    plant = read_library("airliner")
-    made, baseline = design(plant, "lipschitz-hinf"), design(plant, "open-loop", certify=False)
-    names = [f"{fault}_{air}" for fault in FAULTS for air in AIR]
-    rows: list[Row] = []
-    pairs: dict[str, tuple[Replay, Replay]] = {}
-    for k, name in enumerate(names):
-        log = _shipped(name, made)
-        pairs[name] = replay(made, log), replay(baseline, log)
-        ours, theirs = (p.scores() for p in pairs[name])
-        rows += [Row(name, f.name, ours[f.name], theirs[f.name]) for f in plant.faults]
-        tell((k + 1) / len(names))
-    written = [out / "design.json", out / f"{SHOWN}_corrected.csv"]
-    write_design(made, written[0])
-    write_log(written[1], pairs[SHOWN][0].columns())
-    note = _draw(pairs, out, written)
-    return Demonstration(made, tuple(rows), tuple(written), note)
+    return out
 
 
-def _shipped(name: str, made: Design) -> Log:
-    with as_file(files("faultrecon") / "data" / "airliner" / f"{name}.parquet") as path:
-        return read_log(path, made.plant.signals)
+def shipped_log(folder: str, name: str, plant: Plant) -> Log:
+    """A flight that ships with the package."""
+    with as_file(files("faultrecon") / "data" / folder / f"{name}.parquet") as path:
+        return read_log(path, plant.signals)
 
 
-def _draw(pairs: dict[str, tuple[Replay, Replay]], out: Path, written: list[Path]) -> str:
+def write_results(
+    design_path: Path, shown: Replay, corrected_path: Path, figures: Mapping[Path, Callable[[], Figure]]
+) -> tuple[tuple[Path, ...], str]:
+    """Write design, corrected log and, where matplotlib is, the figures; what was written, and a note if none was."""
     from importlib.util import find_spec
 
+    write_design(shown.design, design_path)
+    write_log(corrected_path, shown.columns())
+    written = (design_path, corrected_path)
     if find_spec("matplotlib") is None:
-        return 'no figure: matplotlib is not installed (pip install "faultrecon[plot]")'
+        return written, 'no figure: matplotlib is not installed (pip install "faultrecon[plot]")'
     from faultrecon.plot.figures import save
 
-    for name, figure in (("overview.png", _overview(pairs)), (f"{SHOWN}.png", replay_figure(pairs[SHOWN][0]))):
-        save(figure, out / name)
-        written.append(out / name)
-    return ""
+    return (*written, *(save(draw(), path) for path, draw in figures.items())), ""
 
 
-def _overview(pairs: dict[str, tuple[Replay, Replay]]) -> Figure:
-    from faultrecon.plot.figures import Panel, overview_figure
+def score_table(rows: Sequence[Row]) -> list[str]:
+    """Scores as text: faults that act first, then what leaks into faults that do not.
 
-    panels = []
-    for fault in ("pitch_rate", "pitch_angle", "roll_rate"):
-        for air, label in (("calm", "calm air"), ("gust", "gusts")):
-            ours, theirs = pairs[f"{fault}_{air}"]
-            j = [f.name for f in ours.design.plant.faults].index(fault)
-            truth = ours.truth(fault)
-            assert truth is not None, "the shipped logs carry their true faults"
-            panels.append(
-                Panel(
-                    FAULTS[fault],
-                    label,
-                    ours.log.t,
-                    DEGREES * truth,
-                    DEGREES * ours.trace.fault[:, j],
-                    DEGREES * theirs.trace.fault[:, j],
-                    ours.scores()[fault].nrmse,
-                    "deg" if fault == "pitch_angle" else "deg/s",
-                )
-            )
-    return overview_figure(panels, title="Airliner sensor faults, reconstructed from recorded flights")
+    Delay and leak are those of the last method, the one on show.
+    """
+    names = list(rows[0].scores)
+    widths = [max(9, len(name)) + 1 for name in names]
+    head = " ".join(f"{name:>{width}}" for name, width in zip(names, widths, strict=True))
+    lines = [
+        "nrmse per log and fault (0 is perfect, 1 is no correction), delay in s, leak before the fault in °, °/s",
+        f"{'log':20} {'fault':12} {'none':>5} {head} {'delay':>7} {'leak':>8}",
+    ]
+    for r in (r for r in rows if r.acts):
+        values = " ".join(f"{r[name].nrmse:{width}.3f}" for name, width in zip(names, widths, strict=True))
+        last = r[names[-1]]
+        lines.append(f"{r.log:20} {r.fault:12} {1.0:5.2f} {values} {last.delay:7.2f} {DEGREES * last.leak:8.3f}")
+    lines += ["", "RMS of the estimate where that fault never acts, in ° or °/s"]
+    lines.append(f"{'log':20} {'fault':12} {'':5} {head}")
+    for r in (r for r in rows if not r.acts):
+        values = " ".join(f"{DEGREES * r[name].leak:{width}.3f}" for name, width in zip(names, widths, strict=True))
+        lines.append(f"{r.log:20} {r.fault:12} {'':5} {values}")
+    return lines
 
 
 def replay_figure(done: Replay) -> Figure:
@@ -166,24 +153,3 @@ def replay_figure(done: Replay) -> Figure:
         sensor_units=units,
         title=f"{plant.name}: {Path(log.source).name}",
     )
-
-
-def _table(rows: tuple[Row, ...]) -> list[str]:
-    """Scores as text: faults that act first, then what leaks into faults that do not."""
-    head = f"{'log':20} {'fault':12} {'none':>5} {'open-loop':>10} {'lipschitz-hinf':>15} {'delay':>7} {'leak':>8}"
-    lines = [
-        "nrmse per log and fault (0 is perfect, 1 is no correction), delay in s, leak before the fault in °, °/s",
-        head,
-    ]
-    for r in rows:
-        if np.isfinite(r.design.nrmse):
-            lines.append(
-                f"{r.log:20} {r.fault:12} {1.0:5.2f} {r.open_loop.nrmse:10.3f} {r.design.nrmse:15.3f}"
-                f" {r.design.delay:7.2f} {DEGREES * r.design.leak:8.3f}"
-            )
-    lines += ["", "RMS of the estimate where that fault never acts, in ° or °/s"]
-    lines.append(f"{'log':20} {'fault':12} {'open-loop':>16} {'lipschitz-hinf':>15}")
-    for r in rows:
-        if not np.isfinite(r.design.nrmse):
-            lines.append(f"{r.log:20} {r.fault:12} {DEGREES * r.open_loop.leak:16.3f} {DEGREES * r.design.leak:15.3f}")
-    return lines

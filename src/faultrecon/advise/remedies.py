@@ -26,7 +26,7 @@ from faultrecon.diagnosis.existence import detectability_findings, disturbance_f
 from faultrecon.diagnosis.limits import reconstruction_floor
 from faultrecon.diagnosis.sensors import Candidate, with_sensor
 from faultrecon.finding import Finding
-from faultrecon.methods.base import Method
+from faultrecon.methods.base import Method, Unproved
 from faultrecon.methods.registry import list_methods
 from faultrecon.methods.registry import method as method_named
 from faultrecon.numerics.annihilator import annihilator
@@ -45,9 +45,13 @@ def for_assumption(question: Question, finding: Finding, exchange: TradeOff | No
     if exchange is not None:
         found = [*_weaker(question, exchange, None), *_others(question)]
     elif plant.sample_time is not None:
-        found = [*told, *_in_continuous_time(plant), *_others(question)]
+        translated = _in_continuous_time(plant)
+        told = [] if translated and "sample_time" in finding.evidence else told  # the same advice, with numbers
+        found = [*told, *translated, *_others(question)]
     elif any(f.site == "actuator" for f in plant.faults):
-        found = [*told, *_without_actuators(question), *_others(question)]
+        spelt_out = _without_actuators(question)
+        told = [] if spelt_out and finding.evidence.get("site") == "actuator" else told
+        found = [*told, *spelt_out, *_others(question)]
     elif fault_findings(plant):
         found = [*_fewer_faults(question), *told]
     elif len(plant.faults) == plant.p or detectability_findings(plant):
@@ -180,17 +184,25 @@ def _candidates(question: Question) -> list[Method]:
     names = list_methods()
     parent = question.method.variant_of
     ordered = [*([parent] if parent else []), *names]
-    return [method_named(n) for n in dict.fromkeys(ordered) if n != question.method.name]
+    found = [method_named(n) for n in dict.fromkeys(ordered) if n != question.method.name]
+    return [other for other in found if not isinstance(other, Unproved)]
 
 
 def _others(question: Question, level: float | None = None) -> list[str]:
-    """Other methods that have a solution for this plant (at the level)."""
+    """Other methods that have a solution for this plant (at the level); with equal floors, levels mean the same."""
     found = []
     for other in _candidates(question):
         if any(f.severity == "fatal" for f in other.assumptions(question.plant)):
             continue
+        alike = other.floor(question.plant) == question.method.floor(question.plant)
+        if level is not None and not alike:
+            continue
         best = optimum_of(other, question.plant)
-        if best < math.inf and (level is None or BACKOFF * best <= level):
+        if best < math.inf and not alike:
+            found.append(
+                f"use the method {other.name}, which has a solution for this plant; its γ measures another gain"
+            )
+        elif best < math.inf and (level is None or BACKOFF * best <= level):
             found.append(f"use the method {other.name}, which reaches γ ≥ {BACKOFF * best:.4g} for this plant")
     return found
 

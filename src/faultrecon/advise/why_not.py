@@ -21,9 +21,9 @@ from faultrecon.advise.tradeoff import (
     sufficient_pole_bound,
     trade_off,
 )
-from faultrecon.diagnosis.limits import reconstruction_floor
 from faultrecon.finding import FaultreconError, Finding, Impossible, Inconclusive
 from faultrecon.lmi.explain import explain
+from faultrecon.methods.base import Unproved
 from faultrecon.methods.registry import method as method_named
 from faultrecon.plant.plant import Plant
 from faultrecon.synthesis.refusals import below_floor, below_method, no_answer, no_solution
@@ -96,7 +96,9 @@ def why_not(
     fatal = [f for f in question.method.assumptions(plant) if f.severity == "fatal"]
     if fatal:
         return _assumption(question, fatal)
-    peak = reconstruction_floor(plant)
+    if isinstance(question.method, Unproved):
+        return Explanation(plant.name, method, "none", (_claims_nothing(question),))
+    peak = question.method.floor(plant)
     floor = None if peak is None else peak.value
     if level is not None and floor is not None and level < floor:
         return _below_floor(question, level, floor)
@@ -186,6 +188,15 @@ def _nothing_against(question: Question, optimum: float) -> Finding:
     )
 
 
+def _claims_nothing(question: Question) -> Finding:
+    return Finding(
+        f"nothing stands against {question.method.name} for {question.plant.name}",
+        why="it is a baseline without a theorem: its assumptions hold, and it claims no level that could be missed",
+        remedies=("judge it by simulation: faultrecon compare",),
+        severity="note",
+    )
+
+
 def _exchange(question: Question, exchange: TradeOff | None, level: float | None = None) -> tuple[Finding, ...]:
     """The trade-off between the constant and the level in a row of numbers, and where the nonlinearity is strongest."""
     if exchange is None:
@@ -197,6 +208,7 @@ def _exchange(question: Question, exchange: TradeOff | None, level: float | None
             f"the nonlinearity decides: {asked} up to a Lipschitz constant of α = {exchange.solvable:.4g}",
             why="found by bisection on the optimum" + (f", which is {row}" if row else ""),
             evidence=exchange.as_dict(),
+            remedies=("bring the constant below that: on a smaller domain, or with what is linear in phi put into A",),
             severity="note",
         )
     ]

@@ -41,6 +41,12 @@ def check(
     sensors: Annotated[
         bool, typer.Option("--sensors", help="Tell what one more sensor would do, and which faults can be had at once.")
     ] = False,
+    sensor: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--sensor", help="Rank a sensor that could be added: 'name on state=coefficient noise=size'; repeatable."
+        ),
+    ] = None,
     as_json: Json = False,
 ) -> None:
     """Can these faults be reconstructed, and if not, why not? Which methods apply?"""
@@ -48,7 +54,8 @@ def check(
         from faultrecon.cli.checking import examined
 
         model = plant_named(plant)
-        possible, data, text = examined(model.with_faults(faults) if faults else model, sensors)
+        model = model.with_faults(faults) if faults else model
+        possible, data, text = examined(model, sensors, sensor or (), as_json=as_json)
         answer(as_json, data, text)
         if not possible:
             raise SystemExit(NEGATIVE)
@@ -66,7 +73,9 @@ def design(
     ] = None,
     faults: Faults = None,
     level: Annotated[float | None, typer.Option(help="The level γ to aim at.")] = None,
-    backoff: Annotated[float, typer.Option(help="How far above the optimum to stay, relative.")] = 0.05,
+    backoff: Annotated[
+        float | None, typer.Option(help="How far above the optimum to stay, relative; the method's own by default.")
+    ] = None,
     pole_bound: Annotated[
         str, typer.Option(help="No pole to the left of minus this, rad/s; 'auto' from the sample time, or 'none'.")
     ] = "auto",
@@ -171,7 +180,9 @@ def run(
     ] = None,
     plant: Annotated[str, typer.Option(help="The plant file the design has to belong to.")] = "",
     hold: Annotated[str, typer.Option(help="Samples in between: left, midpoint or linear.")] = "linear",
-    scheme: Annotated[str, typer.Option(help="Integration: auto, zoh or rk4.")] = "auto",
+    scheme: Annotated[
+        str, typer.Option(help="Integration: auto, zoh or rk4; for sliding modes implicit or explicit.")
+    ] = "auto",
     sample_time: Annotated[
         float | None,
         typer.Option(help="Seconds; the log's median interval by default."),
@@ -215,21 +226,23 @@ def _mapping(pairs: list[str]) -> dict[str, str]:
 
 @app.command()
 def demo(
-    name: Annotated[str, typer.Argument(help="Which demonstration; there is one: airliner.")] = "airliner",
-    out: Annotated[Path, typer.Option("--out", "-o", help="Folder for figure, corrected log and design.")] = Path(
+    name: Annotated[str, typer.Argument(help="Which demonstration: airliner or fighter.")] = "airliner",
+    out: Annotated[Path, typer.Option("--out", "-o", help="Folder for figures, corrected log and design.")] = Path(
         "faultrecon-demo"
     ),
     as_json: Json = False,
 ) -> None:
-    """Reconstruct sensor faults in the airliner logs that ship with the package."""
+    """Reconstruct sensor faults in flights that ship with the package; the fighter's gyro fails inside its loop."""
     with guarded(as_json):
-        from faultrecon.advise.demonstration import airliner_demo
+        from faultrecon.advise.airliner import airliner_demo
+        from faultrecon.advise.fighter import fighter_demo
         from faultrecon.finding import InputError, did_you_mean
 
-        if name != "airliner":
-            raise InputError(f"there is no demonstration '{name}'", why=did_you_mean(name, ["airliner"]))
-        with bar("airliner logs") as tell:
-            shown = airliner_demo(out, progress=tell)
+        known = {"airliner": airliner_demo, "fighter": fighter_demo}
+        if name not in known:
+            raise InputError(f"there is no demonstration '{name}'", why=did_you_mean(name, known))
+        with bar(f"{name} logs") as tell:
+            shown = known[name](out, progress=tell)
         answer(as_json, shown.as_dict(), str(shown))
 
 

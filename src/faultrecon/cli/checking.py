@@ -3,45 +3,63 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 from faultrecon.plant.plant import Plant
 
 
-def examined(plant: Plant, with_sensors: bool) -> tuple[bool, dict[str, Any], str]:
-    """Whether the faults can be reconstructed together, the answer as plain values, and as text."""
+def examined(
+    plant: Plant, with_sensors: bool, candidates: Sequence[str] = (), *, as_json: bool = True
+) -> tuple[bool, dict[str, Any], str]:
+    """Whether the faults can be reconstructed together, the answer as plain values, and as text.
+
+    candidates: sensors that could be added, as text; they are ranked beside those that read a single state.  as_json:
+    without it the plain values stay empty, and the distances that only they show are not computed.
+    """
     from faultrecon.advise.recommendation import recommend
     from faultrecon.diagnosis.diagnosis import diagnose
+    from faultrecon.diagnosis.sensors import Candidate
 
+    extra = [Candidate.from_text(text, plant) for text in candidates]
     found, advice = diagnose(plant), recommend(plant)
-    data = {**found.as_dict(), "possible": found.possible, "recommendation": advice.as_dict()}
-    text = f"{found}\n{advice}"
-    if with_sensors and plant.faults:
-        rows, more = _sensors(plant)
-        data, text = data | rows, f"{text}\n{more}"
-    return found.possible, data, text
+    data = {**found.as_dict(), "possible": found.possible, "recommendation": advice.as_dict()} if as_json else {}
+    lines = [str(found), str(advice)]
+    if plant.faults and (with_sensors or extra):
+        rows, more = _changes(plant, extra)
+        data, lines = data | rows, [*lines, more]
+    if plant.faults and with_sensors:
+        rows, more = _sets(plant)
+        data, lines = data | rows, [*lines, more]
+    return found.possible, data, "\n".join(lines)
 
 
-def _sensors(plant: Plant) -> tuple[dict[str, Any], str]:
-    """What one sensor more, or one kept healthy, would do; which faults can be had at once."""
-    from faultrecon.diagnosis.sensors import fault_sets, rank_sensors
+def _changes(plant: Plant, extra: Sequence[Any]) -> tuple[dict[str, Any], str]:
+    """What one sensor more, or one kept healthy, would do."""
+    from faultrecon.diagnosis.sensors import rank_sensors
 
-    options, sets = rank_sensors(plant), fault_sets(plant)
-    lines = ["one change of sensors (an added one without noise), the best first"]
+    options = rank_sensors(plant, [*extra, *plant.signals.x.names])
+    lines = ["one change of sensors (an added one counts as free of noise unless said otherwise), the best first"]
     lines += [f"  {option}" for option in options]
-    lines.append("faults at once")
+    rows = [
+        {"change": o.kind, "sensor": o.name, "possible": o.possible, "floor": o.floor and o.floor.value}
+        | ({} if o.reads is None else {"reads": dict(o.reads.reads), "noise": o.reads.noise})
+        for o in options
+    ]
+    return {"sensors": rows}, "\n".join(lines)
+
+
+def _sets(plant: Plant) -> tuple[dict[str, Any], str]:
+    """Which faults can be had at once."""
+    from faultrecon.diagnosis.sensors import fault_sets
+
+    sets = fault_sets(plant)
+    lines = ["faults at once"]
     for one in sets:
         answer = "reconstructible" if one.reconstructible else f"not reconstructible: {one.why}"
         apart = "isolable" if one.isolable else "not isolable"
         lines.append(f"  {' and '.join(one.faults)}: {answer}; {apart}")
-    data = {
-        "sensors": [
-            {"change": o.kind, "sensor": o.name, "possible": o.possible, "floor": o.floor and o.floor.value}
-            for o in options
-        ],
-        "fault_sets": [
-            {"faults": s.faults, "reconstructible": s.reconstructible, "isolable": s.isolable, "why": s.why}
-            for s in sets
-        ],
-    }
-    return data, "\n".join(lines)
+    rows = [
+        {"faults": s.faults, "reconstructible": s.reconstructible, "isolable": s.isolable, "why": s.why} for s in sets
+    ]
+    return {"fault_sets": rows}, "\n".join(lines)

@@ -183,8 +183,12 @@ def pencil_rank(A: Array, E: Array, C: Array, F: Array, s: complex) -> tuple[int
 
 
 def living_in(plant: Plant, direction: Array) -> tuple[str, ...]:
-    """The (at most three) states in which a direction lives, largest share first; () when it touches none."""
-    weight = np.abs(direction)
+    """The (at most three) states in which a direction lives, largest share first; () when it touches none.
+
+    direction: in the plant's units.  States are compared in declared ranges, or in units that balance the model.
+    """
+    units = state_scaling(plant.A, plant.B, plant.C, np.array(plant.signals.x.ranges, dtype=float))
+    weight = np.abs(direction) / np.exp2(units.astype(float))
     if weight.max(initial=0.0) <= 1e-9:
         return ()
     return tuple(plant.signals.x.names[i] for i in np.argsort(-weight) if weight[i] > 0.1 * weight.max())[:3]
@@ -203,12 +207,18 @@ def _still(plant: Plant) -> float:
 
 
 def _unknown_inputs(plant: Plant) -> tuple[Array, Array, Array, Array]:
+    into, onto = fault_columns(plant)
     return (
         plant.A,
-        np.hstack([decoupled_into(plant), plant.E_f]),
+        np.hstack([decoupled_into(plant), into]),
         plant.C,
-        np.hstack([decoupled_onto(plant), plant.F_f + plant.D @ commands(plant)]),
+        np.hstack([decoupled_onto(plant), onto]),
     )
+
+
+def fault_columns(plant: Plant) -> tuple[Array, Array]:
+    """Every fault into the states (n, q) and onto the measurements (p, q), per physical unit."""
+    return plant.E_f, plant.F_f + plant.D @ commands(plant)
 
 
 def commands(plant: Plant) -> Array:

@@ -3,7 +3,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any
 
 from faultrecon.diagnosis.conditions import Condition
@@ -12,10 +15,11 @@ from faultrecon.diagnosis.existence import (
     assumptions,
     decoupling_findings,
     detectability_findings,
-    disturbance_findings,
     fault_findings,
+    slow_fault_findings,
 )
-from faultrecon.diagnosis.limits import Floor, reconstruction_floor
+from faultrecon.diagnosis.limits import Floor, reconstruction_floors, slow_fault_floor
+from faultrecon.diagnosis.plausibility import oddities
 from faultrecon.finding import Finding
 from faultrecon.plant.plant import Plant
 
@@ -25,15 +29,20 @@ class FaultDiagnosis:
     """One set of faults taken together: what stands against it, and the floor of any estimator's gain.
 
     floor: smallest gain from disturbances to errors when nothing fatal was found.  limit: the floor that applies
-    whether or not it was, for faults that hide an unstable mode in seconds of the faults' rate.  conditions: the
-    assumptions of the literature one by one, with their distances.
+    whether or not it was, for faults that hide an unstable mode in seconds of the faults' rate.  subject: the plant
+    with these faults.
     """
 
     faults: tuple[str, ...]
     findings: tuple[Finding, ...]
     floor: float | None
     limit: Floor | None = None
-    conditions: tuple[Condition, ...] = ()
+    subject: Plant | None = field(default=None, repr=False, compare=False)
+
+    @cached_property
+    def conditions(self) -> tuple[Condition, ...]:
+        """The assumptions of the literature one by one, with their distances; () where none of them bears."""
+        return () if self.subject is None else assumptions(self.subject)
 
     @property
     def possible(self) -> bool:
@@ -43,11 +52,12 @@ class FaultDiagnosis:
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """Findings for all declared faults together and for each alone."""
+    """Findings for all declared faults together and for each alone; notes: what looks odd in the plant itself."""
 
     plant: str
     together: FaultDiagnosis
     alone: tuple[FaultDiagnosis, ...]
+    notes: tuple[Finding, ...] = ()
 
     @property
     def possible(self) -> bool:
@@ -59,7 +69,8 @@ class Diagnosis:
 
         def plain(d: FaultDiagnosis) -> dict[str, Any]:
             findings = [f.as_dict() for f in d.findings]
-            limit = None if d.limit is None else {"value": d.limit.value, "kind": d.limit.kind}
+            keys = ("value", "kind", "frequency", "band")
+            limit = None if d.limit is None else {k: getattr(d.limit, k) for k in keys}
             return {
                 "faults": list(d.faults),
                 "possible": d.possible,
@@ -69,18 +80,28 @@ class Diagnosis:
                 "conditions": [c.as_dict() for c in d.conditions],
             }
 
-        return {"plant": self.plant, "together": plain(self.together), "alone": [plain(d) for d in self.alone]}
+        sets = {"together": plain(self.together), "alone": [plain(d) for d in self.alone]}
+        return {"plant": self.plant, **sets, "notes": [f.as_dict() for f in self.notes]}
 
     def __str__(self) -> str:
         lines = [f"{self.plant}"]
-        for label, d in [("all faults together", self.together), *((f.faults[0], f) for f in self.alone)]:
-            answer = "can be reconstructed" if d.possible else "cannot be reconstructed"
-            floor = "" if d.floor is None else f"; no estimator can guarantee less than γ = {d.floor:.6g}"
-            lines.append(f"  {label}: {answer}{floor if d.possible else ''}")
-            lines += [f"    {f}" for f in d.findings]
-            if not d.possible and d.limit is not None and d.limit.kind == "hidden mode":
-                lines.append(f"    what is left to methods that trade exactness for it: {d.limit}")
-        return "\n".join(lines)
+        if not self.together.faults:
+            lines += [f"  {f}" for f in self.together.findings]
+        else:
+            for label, d in [("all faults together", self.together), *((f.faults[0], f) for f in self.alone)]:
+                lines += _said(label if self.alone else d.faults[0], d)
+        return "\n".join([*lines, *(f"  {f.severity}: {f}" for f in self.notes)])
+
+
+def _said(label: str, d: FaultDiagnosis) -> list[str]:
+    """What is found about one set of faults, in lines."""
+    bounded = d.limit is not None and d.limit.kind == "hidden mode" and math.isfinite(d.limit.value)
+    answer = "can be reconstructed" if d.possible else "cannot be reconstructed" + (" exactly" if bounded else "")
+    limit = f"; {d.limit}" if d.possible and d.limit is not None else ""
+    lines = [f"  {label}: {answer}{limit}", *(f"    {f}" for f in d.findings)]
+    if not d.possible and d.limit is not None and d.limit.kind == "hidden mode":
+        lines.append(f"    what is left to methods that trade exactness for it: {d.limit}")
+    return lines
 
 
 def diagnose(plant: Plant) -> Diagnosis:
@@ -90,33 +111,53 @@ def diagnose(plant: Plant) -> Diagnosis:
     varying, because nothing else is observable in general.  Raises nothing: every obstacle is a Finding.
     """
     names = tuple(f.name for f in plant.faults)
-    together = _of(plant)
-    alone = tuple(_of(plant.with_faults([name])) for name in names) if len(names) > 1 else ()
-    return Diagnosis(plant.name, together, alone)
+    sets = [plant, *(plant.with_faults([name]) for name in names if len(names) > 1)]
+    begun = [_obstacles(one) for one in sets]
+    found = [_limited(d, limit) for d, limit in zip(begun, _limits(begun), strict=True)]
+    return Diagnosis(plant.name, found[0], tuple(found[1:]), tuple(oddities(plant)))
 
 
-def _of(plant: Plant) -> FaultDiagnosis:
+def _obstacles(plant: Plant) -> FaultDiagnosis:
+    """What stands against these faults; no limit yet."""
     names = tuple(f.name for f in plant.faults)
-    findings = _scope(plant) or fault_findings(plant)
-    if findings:
-        return FaultDiagnosis(names, tuple(findings), None)
-    if any(f.site == "actuator" for f in plant.faults):
-        return FaultDiagnosis(names, tuple(decoupling_findings(plant)), None, None, assumptions(plant))
-    if plant.sample_time is None:
-        findings = disturbance_findings(plant)
-    if not findings:
-        findings = detectability_findings(plant)
-        if any(d.role == "decouple" for d in plant.attenuated):
-            # Decoupling is a wish: what cannot be decoupled can still be attenuated.
-            findings += [replace(f, severity="warning") for f in decoupling_findings(plant)]
-    limit = reconstruction_floor(plant)
-    found = FaultDiagnosis(names, tuple(findings), None, limit, assumptions(plant))
-    if not found.possible or limit is None or limit.kind != "disturbance":
-        return found
-    return replace(found, floor=limit.value)
+    outside = _scope(plant) or fault_findings(plant)
+    if outside:
+        return FaultDiagnosis(names, tuple(outside), None)
+    if _actuator(plant):
+        return FaultDiagnosis(names, tuple(decoupling_findings(plant)), None, subject=plant)
+    findings = detectability_findings(plant)
+    if any(d.role == "decouple" for d in plant.attenuated):
+        # Decoupling is a wish: what cannot be decoupled can still be attenuated.
+        findings += [replace(f, severity="warning") for f in decoupling_findings(plant)]
+    return FaultDiagnosis(names, tuple(findings), None, subject=plant)
+
+
+def _limits(begun: Sequence[FaultDiagnosis]) -> list[Floor | None]:
+    """The floor of each set, whatever stands against it; sets of sensor faults are asked together."""
+    sensors = {j: d.subject for j, d in enumerate(begun) if d.subject is not None and not _actuator(d.subject)}
+    floors = dict(zip(sensors, reconstruction_floors(list(sensors.values())), strict=True))
+    for j, d in enumerate(begun):
+        if d.subject is not None and j not in floors:
+            floors[j] = slow_fault_floor(d.subject) if d.possible else None
+    return [floors.get(j) for j in range(len(begun))]
+
+
+def _limited(d: FaultDiagnosis, limit: Floor | None) -> FaultDiagnosis:
+    """With its limit, and with what has to be said about one that covers slow faults only."""
+    if limit is None:
+        return d
+    if limit.kind == "slow fault" and d.subject is not None:
+        d = replace(d, findings=(*d.findings, *slow_fault_findings(d.subject, limit)))
+    return replace(d, limit=limit, floor=limit.value if d.possible and limit.kind == "disturbance" else None)
+
+
+def _actuator(plant: Plant) -> bool:
+    return any(f.site == "actuator" for f in plant.faults)
 
 
 def _scope(plant: Plant) -> list[Finding]:
     """Multiplicative faults, and a known term that reads a faulty sensor: outside every statement made here."""
+    if plant.known is None and all(f.effect == "additive" for f in plant.faults):
+        return []
     sensors = tuple(f for f in plant.faults if f.site == "sensor" or f.effect == "multiplicative")
     return additive_sensor_findings(replace(plant, faults=sensors, sample_time=None))

@@ -3,13 +3,18 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from faultrecon.diagnosis import conditions
 from faultrecon.diagnosis.conditions import Condition
+from faultrecon.diagnosis.limits import Floor
+from faultrecon.diagnosis.model import Matrices, healthy, slow_modes, unseen
 from faultrecon.finding import Finding
-from faultrecon.numerics.annihilator import annihilator, column_rank
-from faultrecon.numerics.pencil import Mode, undetectable_modes
+from faultrecon.numerics.annihilator import column_rank
+from faultrecon.numerics.decay import distance_at_least
+from faultrecon.numerics.pencil import Mode
 from faultrecon.plant.plant import Plant
 
 HAIR = 1e-6
@@ -19,7 +24,13 @@ HAIR = 1e-6
 def fault_findings(plant: Plant) -> list[Finding]:
     """What the fault channels alone rule out: none declared, or indistinguishable from each other."""
     if not plant.faults:
-        return [Finding(f"{plant.name} declares no fault", remedies=("add a [[fault]] table to the plant file",))]
+        return [
+            Finding(
+                f"{plant.name} declares no fault",
+                why="there is nothing to reconstruct",
+                remedies=("add a [[fault]] table to the plant file",),
+            )
+        ]
     sensor = [f for f in plant.faults if f.site == "sensor"]
     F = plant.F_f[:, [f.site == "sensor" for f in plant.faults]]
     rank = column_rank(F)
@@ -45,16 +56,25 @@ def additive_sensor_findings(plant: Plant) -> list[Finding]:
     """What takes a plant out of the scope of observers for additive sensor faults in continuous time."""
     see = "Khosrowjerdi 2011, (2.1)"
     if plant.sample_time is not None:
-        return [Finding("the plant is sampled", why="the method is stated for continuous time", see=see)]
+        return [
+            Finding(
+                f"the plant is sampled every {plant.sample_time:g} s",
+                why="the method is stated for continuous time",
+                evidence={"sample_time": plant.sample_time},
+                remedies=("write the plant in continuous time, without sample_time",),
+                see=see,
+            )
+        ]
     for f in plant.faults:
         if f.site == "actuator" or f.effect == "multiplicative":
             return [
                 Finding(
                     f"fault '{f.name}' is {f.effect} on a{'n' if f.site[0] == 'a' else ''} {f.site}",
                     why="the method reconstructs additive sensor faults",
+                    evidence={"fault": f.name, "site": f.site, "effect": f.effect},
                     remedies=("declare it additive: the waveform of (gain - 1) times the signal is then reconstructed",)
                     if f.site == "sensor"
-                    else (),
+                    else ("reconstruct the sensor faults alone, with the actuator as a [[disturbance]]",),
                     see=see,
                 )
             ]
@@ -65,6 +85,7 @@ def additive_sensor_findings(plant: Plant) -> list[Finding]:
         Finding(
             f"g reads {reached[0]}, which may be faulty",
             why="the fault would enter the observer through the known term",
+            evidence={"sensors": reached},
             remedies=("write g with healthy sensors, or move the term into phi with the state it stands for",),
             see="Khosrowjerdi 2011, (2.5)",
         )
@@ -95,13 +116,15 @@ def disturbance_findings(plant: Plant) -> list[Finding]:
 
 def detectability_findings(plant: Plant) -> list[Finding]:
     """Whether the sensors that stay healthy see every mode that does not decay by itself."""
-    N = annihilator(plant.F_f)
-    C1 = N @ plant.C
-    modes = undetectable_modes(plant.A, C1, sampled=plant.sample_time is not None)
+    N = healthy(plant)
+    modes = unseen(plant)
     if modes:
         return [_undetectable(plant, mode, N.shape[0]) for mode in modes if mode.value.imag >= 0]
+    # A certain bound first: it leaves the search over all s to the few models that are anywhere near.
+    if N.shape[0] == 0 or distance_at_least(slow_modes(Matrices.of(plant)), N) > 10 * HAIR:
+        return []
     margin = conditions.detectable(plant).distance
-    if C1.shape[0] and margin < HAIR:
+    if margin < HAIR:
         return [
             Finding(
                 f"the healthy sensors detect every mode of {plant.name} by a hair",
@@ -151,6 +174,23 @@ def constant_fault_findings(plant: Plant) -> list[Finding]:
     if not condition.holds:
         return [_failed(plant, condition)]
     return [_by_a_hair(plant, condition)] if condition.distance < HAIR else []
+
+
+def slow_fault_findings(plant: Plant, limit: Floor) -> list[Finding]:
+    """What the floor of a set with actuator faults leaves out where their rate is not bounded."""
+    unbounded = [f.name for f in plant.faults if f.site == "actuator" and not math.isfinite(f.rate)]
+    if not unbounded:
+        return []
+    names = " and ".join(unbounded)
+    return [
+        Finding(
+            f"this floor holds for {names} at rest; for one that moves none is known",
+            why="an actuator fault reaches the sensors through the plant, which passes fast ones ever more weakly",
+            evidence={"floor at rest": limit.value},
+            remedies=(f"declare how fast {names} may change (rate = ... in its [[fault]] table)",),
+            severity="note",
+        )
+    ]
 
 
 def _unknown_inputs_declared(plant: Plant) -> bool:

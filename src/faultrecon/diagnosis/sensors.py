@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import combinations
@@ -13,13 +14,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from faultrecon.diagnosis.conditions import constant_fault, living_in
-from faultrecon.diagnosis.limits import Floor, reconstruction_floor
-from faultrecon.finding import InputError
+from faultrecon.diagnosis.limits import Floor, reconstruction_floor, slow_fault_floor
+from faultrecon.diagnosis.model import Matrices, slow_modes
+from faultrecon.finding import InputError, did_you_mean
 from faultrecon.numerics.annihilator import annihilator, column_rank
 from faultrecon.numerics.pencil import SlowModes
 from faultrecon.plant.fault import Disturbance
 from faultrecon.plant.plant import Plant
-from faultrecon.plant.signals import Channels, Noise
+from faultrecon.plant.signals import NAME, Channels, Noise
 
 Array = NDArray[Any]
 
@@ -33,6 +35,44 @@ class Candidate:
     noise: float = 0.0
     unit: str = ""
 
+    @classmethod
+    def from_text(cls, text: str, plant: Plant) -> Candidate:
+        """From 'sonar on position=1 noise=0.01': states with coefficients (1 where none is given), then its noise.
+
+        Raises InputError with the form and a suggestion.
+        """
+        words = re.sub(r"\s*=\s*", "=", text.strip()).split()
+        form = f"it is written 'name on state=coefficient noise=size', for example '{_example(plant)}'"
+        if len(words) < 3 or words[1] != "on":
+            raise InputError(f"the sensor '{text}' cannot be read", why=form)
+        name, reads, noise = words[0], {}, 0.0
+        if not NAME.fullmatch(name):
+            raise InputError(f"'{name}' is no signal name", remedies=("use letters, digits and _, a letter first",))
+        if name in (*plant.signals.y.names, *plant.signals.u.names):
+            raise InputError(f"the sensor '{name}' has the name of another signal", remedies=("choose another name",))
+        for word in words[2:]:
+            key, equals, value = word.partition("=")
+            if key != "noise" and key not in plant.signals.x.names:
+                known = did_you_mean(key, (*plant.signals.x.names, "noise"))
+                raise InputError(f"the sensor '{name}' reads '{key}', which is no state", why=known)
+            if key in reads:
+                raise InputError(f"the sensor '{name}' names {key} twice", why=form)
+            number = _number(value if equals or key == "noise" else "1")
+            if number is None:
+                raise InputError(f"the sensor '{name}' has {key}={value}", why=f"that is no finite number; {form}")
+            if key == "noise":
+                noise = number
+            else:
+                reads[key] = number
+        single = len(reads) == 1 and next(iter(reads.values())) == 1.0
+        unit = plant.signals.x.units[plant.signals.x.index(next(iter(reads)))] if single else ""
+        return cls(name, reads, noise, unit)
+
+    def __str__(self) -> str:
+        parts = [name if value == 1.0 else f"{value:g} {name}" for name, value in self.reads.items()]
+        noise = f", noise {self.noise:g}" + (f" {self.unit}" if self.unit else "") if self.noise else ""
+        return f"{self.name} (reads {' + '.join(parts).replace('+ -', '- ')}{noise})"
+
 
 @dataclass(frozen=True, slots=True)
 class SensorOption:
@@ -40,7 +80,7 @@ class SensorOption:
 
     kind "add": a new healthy sensor; "protect": a sensor that is there is kept from failing, so `faults` need no
     reconstruction.  possible: whether nothing fatal is left; floor: what limits any estimator then; gain: the floor
-    now over the floor then (inf where an impossible case becomes possible).
+    now over the floor then (inf where an impossible case becomes possible).  reads: the candidate, where one was given.
     """
 
     kind: Literal["add", "protect"]
@@ -49,13 +89,15 @@ class SensorOption:
     floor: Floor | None
     gain: float
     faults: tuple[str, ...] = field(default=())
+    reads: Candidate | None = None
 
     def __str__(self) -> str:
         verb = {"add": "add a healthy sensor", "protect": "keep healthy"}[self.kind]
+        name = self.name if self.reads is None else str(self.reads)
         if not self.possible:
-            return f"{verb} {self.name}: does not help"
+            return f"{verb} {name}: does not help"
         level = "" if self.floor is None else f", floor {self.floor.value:.6g}"
-        return f"{verb} {self.name}: possible{level}"
+        return f"{verb} {name}: possible{level}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,9 +120,10 @@ def with_sensor(plant: Plant, extra: Candidate) -> Plant:
     for name, coefficient in extra.reads.items():
         row[0, plant.signals.x.index(name)] = coefficient
     if not row.any():
-        raise InputError(f"the sensor {extra.name} reads no state", remedies=("name at least one state",))
+        why = "its coefficients are zero" if extra.reads else "it names none"
+        raise InputError(f"the sensor {extra.name} reads no state", why=why, remedies=("name at least one state",))
     if not (math.isfinite(extra.noise) and extra.noise >= 0):
-        raise InputError(f"the sensor {extra.name} has noise {extra.noise}", why="it is finite and not negative")
+        raise InputError(f"the sensor {extra.name} has noise {extra.noise:g}", why="it is finite and not negative")
     y = plant.signals.y
     channels = Channels((*y.names, extra.name), (*y.units, extra.unit), (*y.ranges, math.nan))
     noise, disturbances = plant.noise, plant.disturbances
@@ -107,14 +150,16 @@ def rank_sensors(
 
     candidates: sensors, or names of states for noiseless ones that read them; by default every state.  protect: also
     try to keep healthy each sensor that a fault sits on alone (a fault less to reconstruct).  The floor is that of
-    `reconstruction_floor`; where only existence differs, the order is the one given.
+    `reconstruction_floor`, of `slow_fault_floor` with an actuator fault; where only existence differs, the order is
+    the one given.
     """
     wanted = plant.signals.x.names if candidates is None else tuple(candidates)
     now = _worth(plant)
     options = []
     for one in wanted:
         extra = one if isinstance(one, Candidate) else _reading(plant, one)
-        options.append(_option("add", extra.name, with_sensor(plant, extra), now))
+        given = one if isinstance(one, Candidate) else None
+        options.append(replace(_option("add", extra.name, with_sensor(plant, extra), now), reads=given))
     for sensor, names in (_protectable(plant) if protect else {}).items():
         left = [f.name for f in plant.faults if f.name not in names]
         if left:
@@ -150,6 +195,19 @@ def fault_sets(plant: Plant, largest: int = 2) -> tuple[FaultSet, ...]:
     return tuple(rows)
 
 
+def _example(plant: Plant) -> str:
+    return f"extra on {plant.signals.x.names[0]}=1 noise=0.01"
+
+
+def _number(text: str) -> float | None:
+    """A finite number, or None."""
+    try:
+        value = float(text)
+    except ValueError:
+        return None
+    return value if math.isfinite(value) else None
+
+
 def _reading(plant: Plant, state: str) -> Candidate:
     unit = plant.signals.x.units[plant.signals.x.index(state)]
     taken = {*plant.signals.y.names, *plant.signals.u.names}
@@ -171,7 +229,8 @@ def _protectable(plant: Plant) -> dict[str, tuple[str, ...]]:
 
 def _worth(plant: Plant) -> tuple[bool, Floor | None]:
     possible = _existence(plant, range(len(plant.faults)), _slow(plant))[0]
-    return possible, reconstruction_floor(plant)
+    slow = possible and any(f.site == "actuator" for f in plant.faults)
+    return possible, slow_fault_floor(plant) if slow else reconstruction_floor(plant)
 
 
 def _option(
@@ -191,11 +250,12 @@ def _option(
 
 
 def _order(option: SensorOption) -> tuple[bool, float]:
-    return not option.possible, math.inf if option.floor is None else option.floor.value
+    """By floor, in the six digits that are shown: rounding beyond them is no reason to prefer one sensor."""
+    return not option.possible, math.inf if option.floor is None else float(f"{option.floor.value:.6g}")
 
 
 def _slow(plant: Plant) -> SlowModes:
-    return SlowModes.of(plant.A, plant.C, sampled=plant.sample_time is not None)
+    return slow_modes(Matrices.of(plant))
 
 
 def _existence(plant: Plant, chosen: Sequence[int], slow: SlowModes) -> tuple[bool, str]:

@@ -3,14 +3,17 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
-from faultrecon.diagnosis.conditions import Condition
+from faultrecon.diagnosis.conditions import Condition, detectable
 from faultrecon.diagnosis.limits import hidden_floor
 from faultrecon.finding import Finding
+from faultrecon.numerics.annihilator import annihilator
 from faultrecon.plant.plant import Plant
 
-WEAK = 1e-3
+WEAK = 5e-3
 """Relative distance to undetectability below which the exact design (L2 = 0) needs gains that amplify noise by
 thousands: modes that are nearly hidden are then treated as hidden."""
 
@@ -93,11 +96,35 @@ def not_exact(plant: Plant, seen: Condition) -> Finding:
 def nearly_hidden(seen: Condition) -> Finding:
     """A mode is seen on paper only."""
     where = seen.where or 0j
+    word = f"{where.real:.4g}" + (f" ± {abs(where.imag):.4g}j" if where.imag else "")
     return Finding(
-        f"the healthy sensors hardly see the mode at {where.real:.4g}{where.imag:+.4g}j, so it is treated as hidden",
+        f"the healthy sensors hardly see the mode at {word}, so it is treated as hidden",
         why=f"a relative change of {seen.distance:.1e} in the model hides it, and gains that rely on it amplify noise",
         evidence={"distance": seen.distance, "tolerance": WEAK},
         remedies=("use sliding-mode-exact after adding a sensor", "add a healthy sensor that sees this mode"),
         severity="warning",
         see="Alwi 2009, section 3",
     )
+
+
+def with_hidden_mode(plant: Plant) -> Plant | None:
+    """The plant with its nearly hidden mode hidden outright, in A alone; None where none is nearly hidden.
+
+    Gains that are found for it do not lean on what the healthy sensors see of that mode.  With v the direction they
+    miss at s, freed of what they do see of it: A - (A V - V Λ) V⁺, so that A' V = V Λ and C_1 V = 0.
+    """
+    seen = detectable(plant)
+    if not seen.holds or seen.distance >= WEAK or seen.where is None:
+        return None
+    C1, s = annihilator(plant.F_f) @ plant.C, complex(seen.where)
+    t = np.where(np.isfinite(plant.signals.x.ranges), plant.signals.x.ranges, 1.0)
+    A, C = plant.A * t / t[:, None], C1 * t  # directions are compared in declared ranges
+    C = C / np.maximum(np.linalg.norm(C, axis=1), 1e-300)[:, None] * np.linalg.norm(A, 2)
+    v = np.linalg.svd(np.vstack([A - s * np.eye(plant.n), C]))[2][-1].conj()
+    v = v - np.linalg.pinv(C) @ (C @ v)
+    if s.imag == 0:
+        V, modes = v.real[:, None], np.array([[s.real]])
+    else:
+        V, modes = np.stack([v.real, v.imag], axis=1), np.array([[s.real, s.imag], [-s.imag, s.real]])
+    hidden = A - (A @ V - V @ modes) @ np.linalg.pinv(V)
+    return replace(plant, A=hidden * t[:, None] / t)

@@ -51,5 +51,5 @@ def save(thing: Plant | Design, path: str | os.PathLike[str]) -> None:
 
 
 def library(name: str) -> Plant:
-    """A plant of the library: airliner, lipschitz_aircraft, lipschitz_polynomial.  InputError suggests a name."""
+    """A plant of the library, by one of `library_names`.  Raises InputError with a suggestion."""
     return read_library(name)

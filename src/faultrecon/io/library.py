@@ -12,7 +12,7 @@ from faultrecon.plant.plant import Plant
 
 
 def library_names() -> tuple[str, ...]:
-    """The names that `read_library` knows, in alphabetical order."""
+    """The names that `library` knows, in alphabetical order."""
     return tuple(sorted(_entries()))
 
 

@@ -168,9 +168,14 @@ def substitute(exprs: Sequence[Expr], by: Mapping[str, Expr]) -> list[Expr]:
             return new
         if node.op == "block":
             rows = tuple(tuple(go(b) for b in row) for row in node.args[0])
-            same = all(a is b for old, new in zip(node.args[0], rows, strict=True) for a, b in zip(old, new, strict=True))
+            same = all(map(_same, rows, node.args[0]))
             return node if same else Expr("block", (rows,), node.shape)
         args = tuple(go(a) if isinstance(a, Expr) else a for a in node.args)
-        return node if all(a is b for a, b in zip(args, node.args, strict=True)) else Expr(node.op, args, node.shape)
+        return node if _same(args, node.args) else Expr(node.op, args, node.shape)
 
     return [go(expr) for expr in exprs]
+
+
+def _same(left: Sequence[Any], right: Sequence[Any]) -> bool:
+    """Whether two rows hold the very same objects."""
+    return all(a is b for a, b in zip(left, right, strict=True))

@@ -250,6 +250,13 @@ class Method(ABC):
         """Another route to the gains than the program, which then is asked for the multipliers of the proof alone."""
         return None
 
+    def stand_in(self, plant: Plant) -> Plant | None:
+        """Another plant to find the gains for, where those for this one would lean on what it hardly shows.
+
+        The proof is about the plant itself all the same.
+        """
+        return None
+
     def floor(self, plant: Plant) -> Floor | None:
         """What no estimator beats, in the terms of this method's level; None where none is known."""
         return reconstruction_floor(plant)

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from faultrecon.diagnosis.conditions import decoupled_into
 from faultrecon.graph.function import Graph
 from faultrecon.graph.observer import NonlinearTerm, Observer
+from faultrecon.methods.sampled_letters import ranges_or_one
 from faultrecon.plant.plant import Plant
 
 Array = NDArray[np.float64]
@@ -58,8 +59,7 @@ def tuned(plant: Plant, T: float) -> Tuning:
     _, Q = van_loan_covariance(A, noise, np.eye(noise.shape[1]), T)
     assert plant.noise is not None, "the assumptions ask for it"
     sd = np.array(plant.noise.sd)
-    ranges = np.array(plant.signals.x.ranges)
-    start = [*np.where(np.isfinite(ranges) & (ranges > 0), ranges, 1.0), *(f.size for f in plant.faults)]
+    start = [*ranges_or_one(plant), *(f.size for f in plant.faults)]
     start += [d.size for d in plant.attenuated if d.role == "decouple"]
     return Tuning(Q, np.square(np.where(sd > 0, sd, sd.max() * 1e-3)), np.diag(np.square(start)))
 

@@ -74,7 +74,7 @@ class LipschitzHinf(Method):
                     see="Khosrowjerdi 2011, (2.4): p > q",
                 )
             ]
-        return disturbance_findings(plant) + detectability_findings(plant)
+        return detectability_findings(plant) + disturbance_findings(plant)
 
     def theorem(self, plant: Plant, scaling: Scaling) -> Theorem:
         """Theorem 3.1 for this plant."""

@@ -67,3 +67,12 @@ JULIER_2004 = Paper(
     "Proceedings of the IEEE 92(3), 401-422",
     "10.1109/JPROC.2003.823141",
 )
+
+HUANG_2024 = Paper(
+    "huang2024",
+    "Huang; Gao; Liu",
+    2024,
+    "Sensor fault reconstruction using robustly adaptive unknown-input observers",
+    "Sensors 24(10), 3224",
+    "10.3390/s24103224",
+)

@@ -133,16 +133,14 @@ def sampled_letters(
     idempotent: J² = J, so that the error lives in the range of J.  Where it does not, W = I and J - I per sample is
     part of the drift: z is then J times the prediction.
     """
-    n, p, (k, r) = plant.n, plant.p, own.sizes
+    n, p, (k, r), na = plant.n, plant.p, own.sizes, plant.n + own.sizes[0]
     s = {k: given(f"plant.{k}", v) for k, v in plant.letters().items()}
-    na = n + k
     x, a = _units(plant, own, scaling, rates)
     S, Si, Sf, Sfi = (given(k, np.diag(v).reshape(2*(len(v),))) for k, v in (("S", x), ("S⁻¹", 1/x), ("S_f", a), ("S_f⁻¹", 1/a)))
     Jx, Jc = given("J_x", np.eye(na, n)), given("J_c", np.eye(na, k, -n))
     Qc, Qd = given("Q_c", own.carried), given("Q_d", own.driven)
     Q1, Q2 = given("Q_1", own.decouple), given("Q_2", own.attenuate)
     ship = gains_of(plant, own)
-
     C  = let("C_a", (s["C"]@Jx.T + s["F_f"]@Qc@Jc.T)@S)
     H  = let("H_s", Si@ship["H"])
     J  = let("J", I(na) - H@C)
@@ -150,22 +148,16 @@ def sampled_letters(
     rank = na - own.decouple.shape[1] if idempotent else na
     W0 = range_of((np.eye(na) - H0@augmented(plant, own)[1]) * x / x[:, None], rank)
     W  = given("W", W0)
-    nε = W0.shape[1]
-    nz = nε + r
+    nε, nz = W0.shape[1], W0.shape[1] + r
     Jε, Jf = given("J_ε", np.eye(nz, nε)), given("J_f", np.eye(nz, r, -nε))
     Π  = let("Π", W.T@J@Φ)                                                     # what moves x_a moves ε by Π times it
     A, G = let("A_a", Si@Jx@(s["A"]@Jx.T + s["E_f"]@Qc@Jc.T)@S), Si@Jx@s["G"]
     E  = Si@(Jc@Qc.T if own.ramp else Jx@s["E_f"])@Qd@Sf
     D1, D2 = Si@Jx@s["E_w"]@s["W"]@Q1, Si@Jx@s["E_w"]@s["W"]@Q2
     Hφ = s["H"]@Jx.T@S
-
-    widths = own.attenuate.shape[1], p, len(plant.faults)
-    J1, J2, J3 = (given(f"J_{i + 1}", np.eye(sum(widths), w, -sum(widths[:i]))) for i, w in enumerate(widths))
-    N  = given("N", np.diag(np.zeros(p) if plant.noise is None else plant.noise.sd))
-    ν  = let("ν", s["F_w"]@s["W"]@Q2@J1.T + N@J2.T)
+    widths, (J1, J2, J3), ν = _inputs(plant, own, s)
     Θ  = given("Θ", np.diag(rates).reshape(2*(len(rates),)))
-    ranges = np.array(plant.signals.x.ranges)
-    Ω  = given("Ω", np.diag(1 / np.where(np.isfinite(ranges) & (ranges > 0), ranges, 1.0)))
+    Ω  = given("Ω", np.diag(1 / ranges_or_one(plant)))
     Ef = Jf@(Sfi@Qd.T@Θ@J3.T) + (0 if own.ramp else Jε@(Π@Si@Jc@Qc.T@Θ@J3.T))
     faults = s["V"]@Qc@Jc.T@S@W@Jε.T
     back = let("I - CH", I(p) - C@H)
@@ -219,6 +211,12 @@ def held_model(plant: Plant, scaling: Scaling, ship: Mapping[str, Expr], T: floa
     return (*found, Identity(label, scale * (whole * Φ[-1] - series), ROUNDING))
 
 
+def ranges_or_one(plant: Plant) -> Array:
+    """The declared ranges of the states (n,), one where none is declared."""
+    ranges = np.array(plant.signals.x.ranges)
+    return np.where(np.isfinite(ranges) & (ranges > 0), ranges, 1.0)
+
+
 def range_of(J: Array, rank: int) -> Array:
     """An orthonormal basis (n, rank) of the range of J; the identity where J has full rank."""
     if rank == len(J):
@@ -227,6 +225,16 @@ def range_of(J: Array, rank: int) -> Array:
 
 
 # fmt: off
+def _inputs(
+    plant: Plant, own: Channels, s: Mapping[str, Expr]
+) -> tuple[tuple[int, int, int], tuple[Expr, Expr, Expr], Expr]:
+    """The widths of w = [d₂; η; ḟ], the columns that pick each, and ν = F₂ d₂ + N η of w."""
+    widths = own.attenuate.shape[1], plant.p, len(plant.faults)
+    J1, J2, J3 = (given(f"J_{i + 1}", np.eye(sum(widths), w, -sum(widths[:i]))) for i, w in enumerate(widths))
+    N = given("N", np.diag(np.zeros(plant.p) if plant.noise is None else plant.noise.sd))
+    return widths, (J1, J2, J3), let("ν", s["F_w"]@s["W"]@given("Q_2", own.attenuate)@J1.T + N@J2.T)
+
+
 def _identities(units: tuple[Expr, ...], parts: tuple[Expr, Expr], left: Expr) -> tuple[Identity, ...]:
     """What the error system rests on: units, and that what is decoupled is."""
     (S, Si, Sf, Sfi), (Jc, H) = units, parts

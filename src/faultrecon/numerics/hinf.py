@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from faultrecon.numerics.pencil import invariant_zeros
+from faultrecon.numerics.pencil import RANK_TOLERANCE, invariant_zeros
 from faultrecon.numerics.scaling import scale_states, spectral_norm, state_scaling
 
 Array = NDArray[Any]
@@ -84,9 +84,9 @@ def hinf_norm(A: ArrayLike, B: ArrayLike, C: ArrayLike, D: ArrayLike, *, rtol: f
         S = B @ np.linalg.solve(R, B.T)
         Q = C.T @ C + C.T @ D @ np.linalg.solve(R, D.T @ C)
         t = np.sqrt(max(spectral_norm(Q), 1e-300) / max(spectral_norm(S), 1e-300))
-        return _axis(np.linalg.eigvals(np.block([[closed, S * t], [-Q / t, -closed.T]])))
+        return on_axis(np.linalg.eigvals(np.block([[closed, S * t], [-Q / t, -closed.T]])))
 
-    return _climb(gain, crossings, _grid(poles, 12), rtol)
+    return _climb(gain, crossings, frequency_grid(poles, 12), rtol)
 
 
 def estimator_floor(
@@ -112,14 +112,40 @@ def estimator_floor(
 
     def gain(w: Array) -> Array:
         Y = frequency_response(A, B, C, E, w)
-        return _unexplained(Y[:, : C1.shape[0]], Y[:, C1.shape[0] :], _sensitivity(A, w))
+        return unexplained(Y[:, : C1.shape[0]], Y[:, C1.shape[0] :], sensitivity(A, w))
 
     def crossings(level: float) -> Array:
         return _floor_crossings(A, B, C1, E1, C2, E2, level)
 
     poles = np.linalg.eigvals(A).astype(np.complex128)
     zeros = invariant_zeros(A, B, C1, E1)
-    return _climb(gain, crossings, _grid(np.concatenate([poles, zeros]), 40), rtol)
+    return _climb(gain, crossings, frequency_grid(np.concatenate([poles, zeros]), 40), rtol)
+
+
+def imitated(A: Array, B: Array, C: Array, E: Array, Ef: Array, Ff: Array, s: complex) -> float:
+    """The largest fault that disturbances of size one imitate at s: no estimator that follows faults there does better.
+
+    Over all x, w, f with (sI - A) x = B w + Ef f and C x + E w + Ff f = 0, the supremum of |f|/|w|; inf when a fault
+    hides without any disturbance.  A (n, n), B (n, m), C (p, n), E (p, m), Ef (n, q), Ff (p, q); s may be a pole of A.
+    """
+    A, B, C, E, Ef, Ff = (np.asarray(M, dtype=float) for M in (A, B, C, E, Ef, Ff))
+    n, m = B.shape
+    A, both, C = scale_states(A, np.hstack([B, Ef]), C, state_scaling(A, np.hstack([B, Ef]), C))
+    reach = np.linalg.norm(np.vstack([both, np.hstack([E, Ff])]), axis=0)
+    reach = np.where(reach > 0, reach, 1.0)
+    top = np.hstack([s * np.eye(n) - A, -both / reach])
+    bottom = np.hstack([C, np.hstack([E, Ff]) / reach])
+    rows = [M / np.maximum(np.linalg.norm(M, axis=1, keepdims=True), 1e-300) for M in (top, bottom)]
+    _, sigma, Vh = np.linalg.svd(np.vstack(rows))
+    null = Vh[int(np.count_nonzero(sigma > RANK_TOLERANCE * sigma.max(initial=0.0))) :].conj().T
+    w, f = null[n : n + m] / reach[:m, None], null[n + m :] / reach[m:, None]
+    if f.shape[1] == 0 or not f.any():
+        return 0.0
+    _, size, Wh = np.linalg.svd(w)
+    known = int(np.count_nonzero(size > RANK_TOLERANCE * size.max(initial=0.0)))
+    if spectral_norm(f @ Wh[known:].conj().T) > 1e-8 * spectral_norm(f):
+        return float("inf")
+    return spectral_norm(f @ Wh[:known].conj().T / size[:known])
 
 
 def _floor_crossings(A: Array, B: Array, C1: Array, E1: Array, C2: Array, E2: Array, level: float) -> Array:
@@ -140,7 +166,7 @@ def _floor_crossings(A: Array, B: Array, C1: Array, E1: Array, C2: Array, E2: Ar
     J = Z(M.shape)
     J[: 2 * n, : 2 * n] = np.eye(2 * n)
     try:
-        return _axis(eigvals(M, J))
+        return on_axis(eigvals(M, J))
     except (LinAlgError, ValueError):
         return np.zeros(0)
 
@@ -161,7 +187,7 @@ def _resolvent(A: Array, B: Array, w: Array) -> Complex:
         return X
 
 
-def _sensitivity(A: Array, w: Array) -> Array:
+def sensitivity(A: Array, w: Array) -> Array:
     """Relative rounding error to expect in the response at each w: eps times the condition of jw - A."""
     n = A.shape[0]
     if n == 0:
@@ -174,7 +200,7 @@ def _sensitivity(A: Array, w: Array) -> Array:
     return np.finfo(float).eps * np.where(np.isfinite(w), condition, 1.0)
 
 
-def _unexplained(Y1: Complex, Y2: Complex, rounding: Array) -> Array:
+def unexplained(Y1: Complex, Y2: Complex, rounding: Array) -> Array:
     """|Y2 (I - Y1^+ Y1)| at each frequency; 0 where it cannot be trusted to six digits."""
     usable = np.asarray(np.all(np.isfinite(Y1), axis=(1, 2)) & np.all(np.isfinite(Y2), axis=(1, 2)))
     trusted = usable[:, None, None]
@@ -193,7 +219,7 @@ def _unexplained(Y1: Complex, Y2: Complex, rounding: Array) -> Array:
     return np.where(usable & (rounding * size / smallest < 1e-6 * value), value, 0.0)
 
 
-def _axis(eigenvalues: Any) -> Array:
+def on_axis(eigenvalues: Any) -> Array:
     """Frequencies of the eigenvalues on, or within rounding of, the imaginary axis."""
     s = np.asarray(eigenvalues).astype(np.complex128)
     s = s[np.isfinite(s)]
@@ -201,7 +227,7 @@ def _axis(eigenvalues: Any) -> Array:
     return np.unique(np.abs(s.imag[np.abs(s.real) <= reach]))
 
 
-def _grid(points: Complex, per_decade: int) -> Array:
+def frequency_grid(points: Complex, per_decade: int) -> Array:
     """Frequencies where something may happen: 0, infinity, a logarithmic grid, and the flank of every pole or zero."""
     size = np.abs(points)
     size = size[(size > 1e-12 * size.max(initial=1.0)) & (size < 1e12)]

@@ -46,16 +46,22 @@ def hidden_mode_floor(
     """
     A, C1, C2 = (np.asarray(M, dtype=float) for M in (A, C1, C2))
     A, _, C = scale_states(A, np.zeros((A.shape[0], 0)), np.vstack([C1, C2]), state_scaling(A, A[:, :0], C1))
-    C1, C2 = C[: C1.shape[0]], C[C1.shape[0] :]
-    size = spectral_norm(A)
     L, V = slow_part(A, sampled=sample_time is not None)
+    return floor_of_slow_part(L, V, spectral_norm(A), C[: C1.shape[0]], C[C1.shape[0] :], sample_time, tol)
+
+
+def floor_of_slow_part(
+    L: Array, V: Array, size: float, C1: Array, C2: Array, sample_time: float | None, tol: float = RANK_TOLERANCE
+) -> HiddenModes:
+    """The same from a model in balanced units of which `slow_part` gave L and V; size: |A|."""
+    n = V.shape[0]
     N = unobservable_subspace(L, C1 @ V, tol, sizes=(size, spectral_norm(C1)))
     L, W = N.T @ L @ N, C2 @ (V @ N)
     visible = _complement(unobservable_subspace(L, W, tol, sizes=(size, spectral_norm(C2))))
     L, W = visible.T @ L @ visible, W @ visible
     if L.shape[0] == 0 or W.shape[0] == 0:
         return HiddenModes(0.0, ())
-    slack = 64 * np.finfo(float).eps * A.shape[0] * max(size, np.finfo(float).tiny)
+    slack = 64 * np.finfo(float).eps * n * max(size, np.finfo(float).tiny)
     values = np.array([mode.value for mode in unobservable_modes(L, np.zeros((0, L.shape[0])))])
     growth = np.abs(values) - 1.0 if sample_time is not None else np.real(values)
     axis = values[np.abs(growth) <= slack]

@@ -194,12 +194,15 @@ def _disturbed_states(A: Array, B: Array) -> Array:
 
 
 def _frequencies(problem: FilterProblem) -> Array:
-    """Where the first lower bounds are taken: a logarithmic grid, and the flanks of the poles."""
+    """Where the first lower bounds are taken: a logarithmic grid, and the flanks of the poles; not on a pole itself,
+    where rounding would be taken for a bound."""
     poles = np.linalg.eigvals(problem.A0).astype(np.complex128)
     size = np.abs(poles)[np.abs(poles) > 1e-9 * np.max(np.abs(poles), initial=1e-300)]
     low, high = (size.min() / 10, size.max() * 10) if size.size else (0.1, 10.0)
     w = np.concatenate([[0.0, np.inf], np.geomspace(low, high, 40), np.abs(poles.imag), np.abs(poles)])
-    return np.unique(w)
+    w = np.unique(w)
+    gap = np.abs(1j * np.where(np.isfinite(w), w, 1e300)[:, None] - poles[None]).min(axis=1, initial=np.inf)
+    return w[gap > 1e-9 * np.max(np.abs(poles), initial=0.0)]
 
 
 def _accepted_level(

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -22,7 +23,6 @@ Complex = NDArray[np.complexfloating[Any, Any]]
 
 RANK_TOLERANCE = 1e-11
 """Relative to the norm of the balanced model: 1e5 roundings above eps, far below anything typed by hand."""
-
 
 SCATTER = 1e-3
 """Relative to the model: how far rounding may scatter the eigenvalues of a Jordan block of up to five, eps^(1/5)."""
@@ -71,33 +71,41 @@ def undetectable_modes(A: ArrayLike, C: ArrayLike, *, sampled: bool = False, tol
     return SlowModes.of(A, C, sampled=sampled).undetectable(tol=tol)
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, eq=False)
 class SlowModes:
     """A model in balanced units with the invariant subspace that decides detectability: A V = V L.
 
-    Factored once, asked for many choices of outputs.
+    Factored once, asked for many choices of outputs.  T, Z: the whole Schur form, L = T[:k, :k] and V = Z[:, :k].
+    size: |A|.
     """
 
     A: Array
     C: Array
     unit: Array
+    T: Array
+    Z: Array
     L: Array
     V: Array
     sampled: bool
+    size: float
 
     @classmethod
     def of(cls, A: ArrayLike, C: ArrayLike, *, sampled: bool = False) -> SlowModes:
         """From A (n, n) and every output C (p, n) there may be."""
         A, C, unit = _balanced(np.asarray(A, dtype=float), np.asarray(C, dtype=float))
-        return cls(A, C, unit, *slow_part(A, sampled=sampled), sampled)
+        T, Z, k = _slow_first(A, sampled=sampled)
+        return cls(A, C, unit, T, Z, T[:k, :k], Z[:, :k], sampled, spectral_norm(A))
 
     def undetectable(self, N: Array | None = None, *, tol: float = RANK_TOLERANCE) -> list[Mode]:
         """As `undetectable_modes`, for the outputs N C; N: (k, p), all of C by default."""
         if self.L.shape[0] == 0:
             return []
         C = self.C if N is None else N @ self.C
-        slack = 64 * np.finfo(float).eps * self.A.shape[0] * spectral_norm(self.A)
+        slack = 64 * np.finfo(float).eps * self.A.shape[0] * self.size
         growth = (lambda s: abs(s) - 1.0) if self.sampled else (lambda s: s.real)
+        # The Frobenius norm is quick and the larger one: what is seen by its measure is seen.
+        if not unobservable_subspace(self.L, C @ self.V, tol, sizes=(self.size, float(np.linalg.norm(C)))).size:
+            return []
         modes = _modes_within(self.A, C, self.unit, self.L, self.V, tol)
         return [mode for mode in modes if growth(mode.value) >= -slack]
 
@@ -108,18 +116,26 @@ def slow_part(A: Array, *, sampled: bool = False) -> tuple[Array, Array]:
     A deflation over the whole space multiplies its rounding by one small singular value per step; fast modes cannot
     matter and are left out first.  The generous split keeps the scattered eigenvalues of a Jordan block together.
     """
-    from scipy.linalg import schur
+    T, Z, k = _slow_first(A, sampled=sampled)
+    return T[:k, :k], Z[:, :k]
+
+
+def _slow_first(A: Array, *, sampled: bool) -> tuple[Array, Array, int]:
+    """The real Schur form T, Z of A with the k modes of `slow_part` first."""
+    from scipy.linalg import LinAlgError, schur
 
     if A.shape[0] == 0:
-        return A, A
+        return A, A, 0
     split = SCATTER * max(spectral_norm(A), 1e-300)
 
     def slow(re: float, im: float = 0.0) -> bool:
         return (float(np.hypot(re, im)) - 1.0 if sampled else re) >= -split
 
-    L, V, *count = schur(A, sort=slow)
-    k = int(np.asarray(count[0]))
-    return L[:k, :k], V[:, :k]
+    try:
+        T, Z, *count = schur(A, sort=slow)
+    except LinAlgError:  # an eigenvalue that reordering moved across the split: then all of them count as slow
+        return *schur(A)[:2], A.shape[0]
+    return T, Z, int(np.asarray(count[0]))
 
 
 def detectability_margin(A: ArrayLike, C: ArrayLike, *, sampled: bool = False) -> float:
@@ -207,9 +223,17 @@ def invariant_zeros(A: ArrayLike, B: ArrayLike, C: ArrayLike, D: ArrayLike, *, t
 
 def _balanced(A: Array, C: Array) -> tuple[Array, Array, Array]:
     """A and C in balanced units, and the unit 2**e of each state."""
-    e = state_scaling(A, np.zeros((A.shape[0], 0)), C)
+    e = _units(A.tobytes(), C.tobytes(), A.shape[0])
     A, _, C = scale_states(A, np.zeros((A.shape[0], 0)), C, e)
     return A, C, np.ldexp(1.0, e)
+
+
+@lru_cache(maxsize=16)
+def _units(A: bytes, C: bytes, n: int) -> NDArray[np.int64]:
+    """The exponents of `state_scaling`, which cost more than a Schur form: several questions are asked of one model."""
+    return state_scaling(
+        np.frombuffer(A).reshape(n, n), np.zeros((n, 0)), np.frombuffer(C).reshape(-1, max(n, 1))[:, :n]
+    )
 
 
 def unobservable_subspace(A: Array, C: Array, tol: float, sizes: tuple[float, float] | None = None) -> Array:

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from faultrecon.certificate import Certificate, Verification
 from faultrecon.lmi.quick import quickly_proved
 from faultrecon.lmi.solve import Outcome
+from faultrecon.methods.base import Theorem
 from faultrecon.synthesis.certify import certificate, proof_inequalities, prove, shipped
 from faultrecon.synthesis.levels import Posed, mildest, multipliers, quietest, smallest_gain
 
@@ -49,11 +50,14 @@ class Proven:
 
 @dataclass(frozen=True)
 class Central:
-    """Another route to gains than the program: at a level, in words, and whether it finds the multipliers as well."""
+    """Another route to gains than the program: at a level, in words, and whether it finds the multipliers as well.
 
-    at: Callable[[float], Outcome]
-    criterion: str
+    theorem: whose unknowns it finds, where that is not the one to be proved.
+    """
+
+    at: Callable[[float], tuple[Outcome, str]]
     multipliers: bool = True
+    theorem: Theorem | None = None
 
 
 def climb(
@@ -69,11 +73,12 @@ def climb(
     rungs: list[Rung] = []
     for level in levels:
         say(f"gains at γ = {level:.6g}")
-        found, criterion = pick(posed, level) if central is None else (central.at(level), central.criterion)
+        found, criterion = pick(posed, level) if central is None else central.at(level)
         if not found.solved:
             rungs.append(Rung(level, "no gains", found.solver))
             continue
-        gains = shipped(posed.theorem, found.values)
+        found_for = posed.theorem if central is None or central.theorem is None else central.theorem
+        gains = shipped(found_for, found.values)
         say("proof")
         own = central is None or central.multipliers
         again = central is None or not central.multipliers  # a program over P of a large plant is what is avoided

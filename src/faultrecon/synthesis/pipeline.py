@@ -6,6 +6,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
@@ -13,14 +14,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from faultrecon.finding import Finding, Impossible, Inconclusive, InputError
-from faultrecon.lmi.solve import Outcome
+from faultrecon.lmi.solve import Outcome, solve
 from faultrecon.methods.base import ClosedForm, Method, Unproved
 from faultrecon.methods.registry import method as method_named
 from faultrecon.numerics.level import LevelSolution
 from faultrecon.plant.plant import Plant
 from faultrecon.synthesis import riccati_route
-from faultrecon.synthesis.ladder import Central, climb
-from faultrecon.synthesis.levels import Posed, pose
+from faultrecon.synthesis.ladder import Central, climb, pick
+from faultrecon.synthesis.levels import INSIDE, Posed, pose
 from faultrecon.synthesis.refusals import below_floor, below_method, no_answer, no_proof, no_solution
 from faultrecon.synthesis.report import describe
 from faultrecon.synthesis.result import Design
@@ -32,8 +33,6 @@ STEP_SHARE = 2.0
 """Default pole bound times sample time, inside the 2.785 at which classical Runge-Kutta turns unstable."""
 OWN_SHARE = 10.0
 """Default pole bound over the plant's fastest mode where no sample time is known: an observer need not be faster."""
-ASTRAY = 1.01
-"""Ratio of the two routes beyond which it is not the solver that errs."""
 LARGEST_LEVEL = 1e60
 """Its square, in any units the program may choose, is still a float."""
 AGREEMENT = 1e-4
@@ -59,7 +58,8 @@ def design(
     """Gains with a guaranteed level, rounded to float64 and proved.
 
     faults: names of the faults to reconstruct, the others taken as healthy; all by default.  level: γ to aim at; by
-    default (1 + backoff) times the optimum under the pole bound.  backoff: 0.05, or what the method says.  pole_bound: ρ in rad/s for Re λ > -ρ, None for none,
+    default (1 + backoff) times the optimum under the pole bound.  backoff: 0.05, or what the method says.
+    pole_bound: ρ in rad/s for Re λ > -ρ, None for none,
     "auto" for 2 / (noise hold time), or ten times the plant's fastest mode where no noise is declared.  fix, free:
     unknowns of the theorem held or set free, by letter.  certify=False gives a baseline's gains without a proof.
     progress: called with a word before each stage.
@@ -83,24 +83,12 @@ def design(
     if level is not None and floor is not None and level < floor:
         raise Impossible(below_floor(level, floor))
     say("optimum")
-    posed = pose(chosen, plant, fix=fix, free=tuple(free))
-    by_riccati = riccati_route.optimum(posed)
-    central: Central | None = None
-    if by_riccati is not None and plant.n >= riccati_route.LARGE:
-        best = bounded = by_riccati.gamma
-        notes: tuple[str, ...] = ("a large plant: Riccati route, central gains, no pole bound",)
-        central = Central(partial(riccati_route.gains, posed, beta=by_riccati.beta, best=best), "central gain (Riccati)")
-    elif (closed := chosen.closed_form(plant)) is not None:
-        best = bounded = closed.optimum
-        notes, central = (), Central(partial(_closed, closed, posed), closed.name, multipliers=False)
-    else:
-        best, notes = _checked_optimum(posed, by_riccati)
-        posed, bounded, more = _bounded(chosen, plant, fix, tuple(free), pole_bound, best, level)
-        notes += more
+    route = _route(chosen, plant, fix, tuple(free), pole_bound, level)
+    posed, best, bounded, notes = route.posed, route.best, route.bounded, route.notes
     if level is not None and level <= bounded:
         raise Impossible(below_method(level, bounded, floor, posed))
     targets = [level] if level is not None else [(1.0 + backoff * growth) * bounded for growth in GROWTH]
-    proven, rungs = climb(posed, targets, say, central)
+    proven, rungs = climb(posed, targets, say, route.central)
     if proven is None:
         raise Inconclusive(no_proof(posed, rungs))
     if proven.level > 2.0 * bounded and level is None:
@@ -170,6 +158,50 @@ def _allowed(chosen: Method, plant: Plant) -> list[Finding]:
     return findings
 
 
+@dataclass(frozen=True, eq=False)
+class Route:
+    """The problem to be proved, the optimum without and with its pole bound, and where gains come from.
+
+    central: None for the program itself.
+    """
+
+    posed: Posed
+    best: float
+    bounded: float
+    notes: tuple[str, ...]
+    central: Central | None = None
+
+
+def _route(
+    chosen: Method,
+    plant: Plant,
+    fix: Mapping[str, Any] | None,
+    free: tuple[str, ...],
+    pole_bound: float | str | None,
+    level: float | None,
+) -> Route:
+    """How this method finds gains for this plant: program, Riccati equations, closed form, or by way of a stand-in."""
+    posed = pose(chosen, plant, fix=fix, free=free)
+    by_riccati = riccati_route.optimum(posed)
+    if by_riccati is not None and plant.n >= riccati_route.LARGE:
+        best, beta = by_riccati.gamma, by_riccati.beta
+        central = Central(lambda at: (riccati_route.gains(posed, at, beta, best), "central gain (Riccati)"))
+        return Route(posed, best, best, ("a large plant: Riccati route, central gains, no pole bound",), central)
+    if (closed := chosen.closed_form(plant)) is not None:
+        central = Central(lambda at: (_closed(closed, posed, at), closed.name), multipliers=False)
+        return Route(posed, closed.optimum, closed.optimum, (), central)
+    if (stand_in := chosen.stand_in(plant)) is not None:
+        other = pose(chosen, stand_in, fix=fix, free=free)
+        best = _level(other.optimum(), other)
+        other, bounded, notes = _bounded(chosen, stand_in, fix, free, pole_bound, best, level)
+        notes += ("gains and optimum are those of the plant with its nearly hidden mode hidden; proved for the plant",)
+        central = Central(partial(pick, other), multipliers=False, theorem=other.theorem)
+        return Route(posed, best, bounded, notes, central)
+    best, notes = _checked_optimum(posed, by_riccati)
+    posed, bounded, more = _bounded(chosen, plant, fix, free, pole_bound, best, level)
+    return Route(posed, best, bounded, notes + more)
+
+
 def _closed(form: ClosedForm, posed: Posed, level: float) -> Outcome:
     """The gains of a closed form as if a solver had found them, without multipliers."""
     values = form.at(level)
@@ -196,8 +228,10 @@ def _checked_optimum(posed: Posed, by_riccati: LevelSolution | None) -> tuple[fl
     if abs(by_solver - by_riccati.gamma) <= AGREEMENT * by_riccati.gamma:
         return by_riccati.gamma, ()
     note = f"two routes to the optimum disagree: {by_riccati.gamma:.9g} (Riccati) and {by_solver:.9g} (solver)"
-    # The solver may stop a little below the optimum; far below it nothing is feasible, so there the other one is lost.
-    return (by_solver if by_riccati.gamma > ASTRAY * by_solver else by_riccati.gamma), (note,)
+    # A point strictly inside between the two refutes the other route's bound; without one the solver stopped too low.
+    between = posed.at_level(math.sqrt(by_solver * by_riccati.gamma))
+    refuted = by_solver < by_riccati.gamma and solve(between, margin=INSIDE).solved
+    return (by_solver if refuted else by_riccati.gamma), (note,)
 
 
 def _level(outcome: Outcome, posed: Posed) -> float:

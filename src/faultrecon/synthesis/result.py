@@ -56,8 +56,9 @@ class Design:
         """The observer at run time: pure `init` and `step`.  sample_time in s: by default that of a sampled
         observer, else the noise's hold time.
 
-        options: `hold` ("left", "midpoint", "linear"), `scheme` ("auto", "zoh", "rk4") and `engine` ("auto", "casadi",
-        "numba"), see `Estimator.build`.  `estimator.warm()` compiles ahead for fast single steps.
+        options: `hold` ("left", "midpoint", "linear"), `scheme` ("auto", "zoh", "rk4"; "implicit" and "explicit" for
+        sliding modes), `engine` ("auto", "casadi", "numba"), and for sliding modes `bound` ρ and `layer` δ of the
+        injection, see `Estimator.build`.  `estimator.warm()` compiles ahead for fast single steps.
         """
         from faultrecon.runtime.estimator import Estimator
         from faultrecon.runtime.filling import Prediction
