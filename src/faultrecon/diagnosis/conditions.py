@@ -218,10 +218,10 @@ def _unknown_inputs(plant: Plant) -> tuple[Array, Array, Array, Array]:
 
 def fault_columns(plant: Plant) -> tuple[Array, Array]:
     """Every fault into the states (n, q) and onto the measurements (p, q), per physical unit."""
-    return plant.E_f, plant.F_f + plant.D @ _commands(plant)
+    return plant.E_f, plant.F_f + plant.D @ commands(plant)
 
 
-def _commands(plant: Plant) -> Array:
+def commands(plant: Plant) -> Array:
     """Actuator faults onto the inputs, (m, q): they reach the measurements through D as well."""
     out = np.zeros((len(plant.signals.u), len(plant.faults)))
     for j, f in enumerate(plant.faults):

@@ -49,6 +49,10 @@ class AugmentedUio(Method):
     baseline = True
     drives: ClassVar[bool] = True
 
+    def counted(self, plant: Plant) -> None:
+        """None: the level counts the second derivative of the fault."""
+        return
+
     def assumptions(self, plant: Plant) -> list[Finding]:
         """Those of adaptive-uio: the second integrator of the fault model has its mode at s = 0 as well."""
         return with_advice(plant, unknown_input_findings(plant))

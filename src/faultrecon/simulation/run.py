@@ -212,7 +212,7 @@ class Run:
                 found.append(f"the fault {f.name} acts and is none of the design's")
         counted = self._method.counted(design.plant)
         if counted is None:
-            found.append("the level is that of the linear part, without the injection that runs here")
+            found.append("the level is another than that from disturbances to this error: see the claim")
         names_counted = {d.name for d in counted or ()}
         for j, d in enumerate(truth.plant.disturbances):
             if d.name not in names_counted and truth.w[:, j].any():
