@@ -61,7 +61,9 @@ def _channels(plant: Plant) -> list[Finding]:
     reached = [f.name for f, column in zip(plant.faults, (plant.D @ commands).T, strict=True) if column.any()]
     if reached:
         why = "it reaches the measurements at once, through D, and the model of the method has no such path"
-        return [Finding(f"actuator fault '{reached[0]}' shows in the sensors directly", why=why, see=SEE)]
+        what = f"actuator fault '{reached[0]}' shows in the sensors directly"
+        remedies = ("declare it a sensor fault on the sensors that D reaches", "leave the fast path out of D")
+        return [Finding(what, why=why, evidence={"faults": reached}, remedies=remedies, see=SEE)]
     decoupled = [d.name for d in plant.attenuated if d.role == "decouple" and any(d.on.values())]
     if decoupled:
         why = "what is decoupled may act on the states alone: a sensor that it reaches is needed to see it"
