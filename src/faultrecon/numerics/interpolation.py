@@ -80,7 +80,7 @@ def floor_of_slow_part(
 
 def _growing(L: Array, W: Array, slack: float, sample_time: float | None) -> float:
     """The Nevanlinna-Pick bound of the modes that grow: |R M⁻¹ R⁻¹| with X = R'R, M = Λ or (Λ - I)/T."""
-    from scipy.linalg import schur, solve_continuous_lyapunov, solve_discrete_lyapunov, solve_triangular
+    from scipy.linalg import schur, solve_triangular
 
     def grows(re: float, im: float = 0.0) -> bool:
         return (float(np.hypot(re, im)) - 1.0 if sample_time is not None else re) > slack
@@ -91,16 +91,32 @@ def _growing(L: Array, W: Array, slack: float, sample_time: float | None) -> flo
         return 0.0
     lam, w = T[:k, :k], W @ Z[:, :k]
     if sample_time is None:
-        X, M = np.asarray(solve_continuous_lyapunov(lam.T, w.T @ w)), lam
+        a = np.sqrt(np.abs(np.linalg.eigvals(lam)).prod() ** (1.0 / k) * spectral_norm(lam))
+        shifted = np.linalg.inv(a * np.eye(k) + lam)  # Cayley: the same X for steps of a sampled model
+        R, M = gramian_factor((a * np.eye(k) - lam) @ shifted, np.sqrt(2.0 * a) * w @ shifted), lam
     else:
-        back = np.linalg.inv(lam)
-        X, M = np.asarray(solve_discrete_lyapunov(back.T, w.T @ w)), (lam - np.eye(k)) / sample_time
-    try:
-        R = np.linalg.cholesky(0.5 * (X + X.T)).T
-    except np.linalg.LinAlgError:  # directions that the faulty outputs hardly see: each mode alone still binds
+        R, M = gramian_factor(np.linalg.inv(lam), w), (lam - np.eye(k)) / sample_time
+    if np.abs(R.diagonal()).min() <= k * np.finfo(float).eps * spectral_norm(R):
+        # Directions that the faulty outputs hardly see: each mode alone still binds.
         return float(1.0 / np.abs(np.linalg.eigvals(M)).min())
     middle = R @ np.linalg.inv(M)
     return spectral_norm(solve_triangular(R, middle.T, trans=1).T)
+
+
+def gramian_factor(B: Array, W: Array) -> Array:
+    """Upper triangular R with R'R = Σ (Bʲ)' W'W Bʲ, B (k, k) with all eigenvalues inside the unit circle, W (q, k).
+
+    Doubled and compressed by QR without ever forming R'R: directions that W sees by less than √ε keep their digits.
+    """
+    k = B.shape[0]
+    R = np.linalg.qr(np.vstack([W, np.zeros((k, k))]), mode="r")
+    for _ in range(64):  # 2^64 steps: farther than a rate of rounding size reaches
+        more = R @ B
+        R = np.linalg.qr(np.vstack([R, more]), mode="r")
+        if spectral_norm(more) <= np.finfo(float).tiny + np.finfo(float).eps ** 2 * spectral_norm(R):
+            break
+        B = B @ B
+    return R
 
 
 def _complement(N: Array) -> Array:
