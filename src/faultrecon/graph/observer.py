@@ -4,6 +4,9 @@
     ż = A z + B v + N φ(sat(S z + S_v v + s0), u, t) + M g(y, u, t) + Σ G_n ν        v = [u - u0; y - y0]
     x̂ = x0 + Cx z + Dx v,    f̂ = Cf z + Df v,    y - F f̂ is the corrected measurement
 
+Faults that multiply: the corrected measurement is (y - F_a f̂) / (1 + F_m f̂), F_m the columns of F named in `scales`.
+Where f̂ is no linear function of z and v, `readout` makes it of them.
+
 φ and g read absolute values; sat keeps the argument of φ in the domain for which its bound is claimed.  Each ν is the
 discontinuous injection of a sliding-mode observer, see `Injection`; most observers have none.
 """
@@ -71,6 +74,8 @@ class Observer:
     """A continuous-time observer with nz states, driven by v = [u - u0; y - y0] of m + p entries.
 
     A (nz, nz), B (nz, m+p), Cx (n, nz), Dx (n, m+p), Cf (q, nz), Df (q, m+p), F (p, q); x0 (n,), u0 (m,), y0 (p,).
+    scales: which faults multiply what their sensors show.  readout: graph of f (q), what Cf z + Df v gives, and x (n),
+    the absolute x̂; its q outputs are then f̂.
     Sampled, the injections act in the order given: each reads what the ones before it have moved.
     """
 
@@ -87,6 +92,8 @@ class Observer:
     nonlinear: NonlinearTerm | None = None
     copied: CopiedTerm | None = None
     injections: tuple[Injection, ...] = ()
+    scales: tuple[int, ...] = ()
+    readout: Graph | None = None
 
     @property
     def inputs(self) -> int:
@@ -97,6 +104,12 @@ class Observer:
     def linear(self) -> bool:
         """Whether the matrices say it all."""
         return self.nonlinear is None and self.copied is None and not self.injections
+
+    @property
+    def split(self) -> tuple[Array, Array]:
+        """F of the faults that add, and F of those that multiply; both (p, q)."""
+        multiplying = np.isin(np.arange(self.F.shape[1]), self.scales)
+        return self.F * ~multiplying, self.F * multiplying
 
     @property
     def poles(self) -> NDArray[Any]:

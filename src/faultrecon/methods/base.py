@@ -87,6 +87,7 @@ class Theorem:
     of the program -> its expression in the gains that ship, substituted before the proof.  lyapunov P, drift P (A - L C1),
     readout H1 and noise (P L times sensor noise, one column per unit white source) serve the second criterion; a theorem
     that has one of its own names the expression whose largest eigenvalue is then to be least in `mildest`.
+    drifts: the drift at every vertex, where there are several; the pole bound then holds for each.
     bases: given letters that any matrices may stand for that pass the identities: coordinates, found by the method.
     """
 
@@ -108,6 +109,7 @@ class Theorem:
     unit: float = 1.0
     power: int = 2
     mildest: Expr | None = None
+    drifts: Sequence[Expr] = ()
     bases: Sequence[str] = ()
 
     def objective(self, level: float) -> float:

@@ -66,7 +66,11 @@ def fault_noise(plant: Plant, observer: Observer) -> dict[str, float] | None:
         return None
     m = observer.inputs
     variances = np.square(plant.noise.sd)
-    covariance = held_noise_covariance(observer.A, observer.B[:, m:], variances, plant.noise.hold)
+    B, term = observer.B[:, m:], observer.nonlinear
+    if term is not None and term.direct is not None:  # y may enter through the nonlinear part: to first order, at rest
+        slope = term.phi.jacobian("x")(term.offset, observer.u0, [0.0])
+        B = B + term.into @ slope @ term.direct[:, m:]
+    covariance = held_noise_covariance(observer.A, B, variances, plant.noise.hold)
     # A sample is in y before it has moved the state, so at a sample instant the two parts are uncorrelated.
     direct = observer.Df[:, m:] * np.sqrt(variances)
     total = observer.Cf @ covariance @ observer.Cf.T + direct @ direct.T
