@@ -72,8 +72,11 @@ def fault_noise(plant: Plant, observer: Observer) -> dict[str, float] | None:
         B = B + term.into @ slope @ term.direct[:, m:]
     covariance = held_noise_covariance(observer.A, B, variances, plant.noise.hold)
     # A sample is in y before it has moved the state, so at a sample instant the two parts are uncorrelated.
-    direct = observer.Df[:, m:] * np.sqrt(variances)
-    total = observer.Cf @ covariance @ observer.Cf.T + direct @ direct.T
+    Cf, direct = observer.Cf, observer.Df[:, m:] * np.sqrt(variances)
+    if observer.readout is not None:
+        slope = observer.readout.jacobian("f")(np.zeros(len(Cf)), observer.x0)
+        Cf, direct = slope @ Cf, slope @ direct
+    total = Cf @ covariance @ Cf.T + direct @ direct.T
     return {f.name: float(np.sqrt(max(v, 0.0))) for f, v in zip(plant.faults, np.diag(total), strict=True)}
 
 
