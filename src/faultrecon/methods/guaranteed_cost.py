@@ -19,6 +19,8 @@ from faultrecon.diagnosis.limits import Floor
 from faultrecon.finding import Finding, InputError
 from faultrecon.graph.observer import Observer
 from faultrecon.lmi.expr import I, __, Expr, given, let, sym, unknown
+from faultrecon.lmi.problem import Problem
+from faultrecon.lmi.solve import solve
 from faultrecon.methods.base import Assumed, Identity, Method, Scaling, Theorem, letters
 from faultrecon.methods.papers import BEZZAOUCHA_2013
 from faultrecon.methods.scaled_sensors import (
@@ -42,8 +44,8 @@ class TsGuaranteedCost(Method):
     name = "ts-guaranteed-cost"
     summary = "multiplicative sensor faults: constant gain of least guaranteed variance over the vertices of A(z)"
     paper = BEZZAOUCHA_2013
-    # The optimum is attained here: a cost of one part in ten thousand is room for the proof, not for the gains.
-    backoff = 1e-4
+    # The optimum is attained here, so the back-off is room for the proof alone; gains move with its square root.
+    backoff = 1e-6
     divided: ClassVar[bool] = False
 
     def assumptions(self, plant: Plant) -> list[Finding]:
@@ -65,9 +67,11 @@ class TsGuaranteedCost(Method):
                 )
             ]
         try:
-            self.error_vertices(plant)
+            unstable = self.quadratic_findings(plant)
         except InputError as error:
             return [error.finding]
+        if unstable:
+            return unstable
         return [*interval_warnings(plant), *(f for f in self.sector(plant).findings() if f.severity != "fatal")]
 
     def sector(self, plant: Plant) -> Sector:
@@ -77,6 +81,22 @@ class TsGuaranteedCost(Method):
     def error_vertices(self, plant: Plant) -> Array:
         """The state matrix of the error equation at every corner, (k, n, n)."""
         return self.sector(plant).A
+
+    def quadratic_findings(self, plant: Plant) -> list[Finding]:
+        """Whether one P and one G make the error decay at every vertex: He(P A_v - Y H_w) < -I, P > I, up to scale."""
+        n, N, p = plant.n, plant.n + len(plant.faults), plant.p
+        J, P, Y = given("J_x", np.eye(N, n)), unknown("P", N, N, symmetric=True), unknown("Y", N, p)
+        H = [given(f"H{w + 1}", value) for w, value in enumerate(innovation_corners(plant, divided=self.divided))]
+        claims = [(P - I(N) > 0).tagged("P > I")]
+        for v, vertex in enumerate(self.error_vertices(plant)):
+            for w, Hw in enumerate(H):
+                D = P @ (J @ given(f"A{v + 1}", vertex) @ J.T) - Y @ Hw
+                claims.append((D + D.T + I(N) < 0).tagged(f"vertex {v + 1},{w + 1}"))
+        outcome = solve(Problem(claims))
+        if outcome.status != "infeasible":
+            return []
+        shares = np.array([np.trace(dual) for dual in outcome.duals[1:]])
+        return [_not_quadratic(plant, self.sector(plant), len(claims) - 1, claims[1 + int(np.argmax(shares))].label)]
 
     def premises(self, plant: Plant) -> list[Assumed]:
         """What the vertices rest on."""
@@ -220,6 +240,15 @@ def _where(plant: Plant) -> str:
         *((f.name, interval(plant, f.name, f.size)) for f in plant.faults),
     ]
     return "while x, x̂ and u, f and f̂ stay in " + ", ".join(f"{k} in [{a:g}, {b:g}]" for k, (a, b) in ends)
+
+
+def _not_quadratic(plant: Plant, sector: Sector, blocks: int, hardest: str) -> Finding:
+    """Farkas: the solver's dual excludes every P and G; it was checked in floating point."""
+    bounds = {p.name: [p.low, p.high] for p in sector.premises}
+    what = f"no constant gain makes the error of {plant.name} decay at every vertex of the box"
+    why = f"{blocks} inequalities contradict each other for every P and G, {hardest} above all (checked by its dual)"
+    remedies = ("shrink the box of [polytopic]", "add a healthy sensor", "declare the slope in premises that vary alike")
+    return Finding(what, why, {"vertices": blocks, "hardest": hardest, "premises": bounds}, remedies, "Bezzaoucha 2013, re-derived")
 
 
 def _no_noise(plant: Plant) -> Finding:
