@@ -186,6 +186,19 @@ class Polytopic:
         given = {name: Premise(name, *self.bounds[name], "assumed") for name in family.names if name in self.bounds}
         return tuple({**found, **given}[name] for name in family.names)
 
+    def left(self, **tracks: Mapping[str, Array]) -> tuple[str, ...]:
+        """What leaves its interval, in words: each keyword is what is tracked, a table of signals (N,) by name.
+
+        Names without an interval are left out.
+        """
+        known = {**self.faults, **self.box}
+        found = []
+        for what, signals in tracks.items():
+            for name, values in signals.items():
+                if name in known and bool(np.any((values < known[name][0]) | (values > known[name][1]))):
+                    found.append(f"{what} of {name}")
+        return tuple(found)
+
     def fault_interval(self, name: str, size: float) -> Ends:
         """The interval of a fault: as declared, else its size to either side."""
         return self.faults.get(name, (-size, size))

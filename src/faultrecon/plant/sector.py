@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, Literal
 
@@ -181,7 +181,8 @@ def right_side(plant: Plant) -> Graph:
             out = out + ca.DM(term.into) @ term.phi.symbolic(ca.DM(plant.H) @ x, u, ca.SX(0.0))
         return ca.SX(ca.densify(out))
 
-    return Graph.trace(f, {"x": plant.n, "u": len(plant.signals.u)})
+    graph = Graph.trace(f, {"x": plant.n, "u": len(plant.signals.u)})
+    return replace(graph, inputs={"x": plant.signals.x.names, "u": plant.signals.u.names})
 
 
 def entrywise(plant: Plant) -> Family:

@@ -208,7 +208,20 @@ class Run:
             if d.role == "noise" and truth.w[:, j].any():
                 found.append(f"{d.name} acts, which is no disturbance that the level counts")
         found += [f"the plant leaves the declared domain of {name}" for name in truth.left_domain()]
-        return tuple(found)
+        return tuple(found) + self._left_box
+
+    @property
+    def _left_box(self) -> tuple[str, ...]:
+        """What leaves the box of a polytopic form, true or estimated: there its vertices say nothing."""
+        form = self.design.plant.polytopic
+        if form is None:
+            return ()
+        signals = self.design.plant.signals
+        names = [f.name for f in self.design.plant.faults]
+        value = dict(zip(signals.x, self.x.T, strict=True)) | dict(zip(signals.u, self.u.T, strict=True))
+        value |= dict(zip(names, self.f.T, strict=True))
+        guess = dict(zip(signals.x, self.x_hat.T, strict=True)) | dict(zip(names, self.f_hat.T, strict=True))
+        return tuple(f"the {what} leaves the box of the polytopic form" for what in form.left(value=value, estimate=guess))
 
     def columns(self) -> dict[str, Array]:
         """Like a log with its truth: t, inputs, measurements, true_f_<fault>, f_<fault>, <sensor>_corrected and _ok."""
