@@ -139,7 +139,7 @@ def _enclosed(polynomial: Any, box: Sequence[tuple[Fraction, Fraction]]) -> tupl
     for exponents, coefficient in polynomial.terms():
         c = Fraction(int(coefficient.p), int(coefficient.q))
         a = b = c
-        for k, (left, right) in zip(exponents, box, strict=False):
+        for k, (left, right) in zip(map(int, exponents), box, strict=False):
             if k:
                 ends = [left**k, right**k] + ([Fraction(0)] if k % 2 == 0 and left < 0 < right else [])
                 products = [end * factor for end in (min(ends), max(ends)) for factor in (a, b)]

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from faultrecon.diagnosis.limits import Floor
 from faultrecon.finding import Finding, InputError
 from faultrecon.graph.observer import Observer
-from faultrecon.lmi.expr import I, __, Expr, given, let, sym, unknown
+from faultrecon.lmi.expr import Expr, I, __, given, let, sym, unknown
 from faultrecon.lmi.problem import Problem
 from faultrecon.lmi.solve import solve
 from faultrecon.methods.base import Assumed, Identity, Method, Scaling, Theorem, letters
@@ -66,13 +66,15 @@ class TsGuaranteedCost(Method):
                     see="Bezzaoucha 2013, re-derived",
                 )
             ]
+        both = [d.name for d in plant.disturbances if any(d.into.values()) and any(d.on.values())]
+        if both:
+            return [_both_ways(both)]
         try:
-            unstable = self.quadratic_findings(plant)
+            own = self.sector(plant).findings()
+            hindrances = [f for f in own if f.severity == "fatal"] or self.quadratic_findings(plant)
         except InputError as error:
             return [error.finding]
-        if unstable:
-            return unstable
-        return [*interval_warnings(plant), *(f for f in self.sector(plant).findings() if f.severity != "fatal")]
+        return hindrances or [*interval_warnings(plant), *own]
 
     def sector(self, plant: Plant) -> Sector:
         """The family whose vertices the error equation runs through."""
@@ -120,7 +122,7 @@ class TsGuaranteedCost(Method):
         Jx, Jf = given("J_x", np.eye(N, n)), given("J_f", np.eye(N, q, -n))
         Vi     = given("V⁻¹", np.diag([f.size for f in plant.faults]).reshape(q, q))
         to, back = let("T_a", Jx@T@Jx.T + Jf@Vi@Jf.T), let("T_a⁻¹", Jx@Ti@Jx.T + Jf@s["V"]@Jf.T)
-        drives, noise = _drives(plant), np.diag(noise_intensity(plant, divided=self.divided))
+        drives, noise = _drives(plant), noise_intensity(plant, divided=self.divided)
         κ      = 2.0 ** -round(float(np.log2(_expected(drives, noise))))
         Q, r   = let("Q", κ*(back@given("drives", drives))), given("r", κ*noise)
         E      = let("E", given("1/sizes", np.diag(1 / _sizes(plant)))@to)
@@ -135,7 +137,7 @@ class TsGuaranteedCost(Method):
                 drifts.append(D)
                 lmis.append((sym([[ D + D.T, P@Q              , Y@r   ],
                                   [ __     , -I(drives.shape[1]), 0     ],
-                                  [ __     , __               , -I(p) ]]) < 0).tagged(f"vertex {v+1},{w+1}"))
+                                  [ __     , __               , -I(noise.shape[1]) ]]) < 0).tagged(f"vertex {v+1},{w+1}"))
         cost = [(sym([[Z, E], [__, P]]) > 0).tagged("Z > E P⁻¹ Eᵀ"), (γ2 - trace(Z) > 0).tagged("γ² > tr Z")]
         return Theorem(
             self.name, [*lmis, *cost], minimise=γ2, gains={G: to@P.inv()@Y}, prove_with={Y: P@back@G, γ2: (κ*γ)**2},
@@ -183,7 +185,9 @@ class TsMeanValue(TsGuaranteedCost):
         return [_agreement(sector, "J(z) = ∂f/∂x"), _bounds(sector)]
 
 
-NOT_COVERED = "does not cover sampling, rounding at run time, a plant that differs from the model, or what leaves the box"
+NOT_COVERED = (
+    "does not cover sampling, rounding at run time, a plant that differs from the model, or what leaves the box"
+)
 
 
 def trace(expr: Expr) -> Expr:
@@ -242,13 +246,29 @@ def _where(plant: Plant) -> str:
     return "while x, x̂ and u, f and f̂ stay in " + ", ".join(f"{k} in [{a:g}, {b:g}]" for k, (a, b) in ends)
 
 
+def _both_ways(names: Sequence[str]) -> Finding:
+    return Finding(
+        f"{names[0]} acts on states and on sensors at once",
+        why="noise and drive are taken to be independent of each other",
+        evidence={"disturbances": list(names)},
+        remedies=(f"split {names[0]} into two disturbances",),
+        see="Bezzaoucha 2013, re-derived",
+    )
+
+
 def _not_quadratic(plant: Plant, sector: Sector, blocks: int, hardest: str) -> Finding:
     """Farkas: the solver's dual excludes every P and G; it was checked in floating point."""
     bounds = {p.name: [p.low, p.high] for p in sector.premises}
     what = f"no constant gain makes the error of {plant.name} decay at every vertex of the box"
     why = f"{blocks} inequalities contradict each other for every P and G, {hardest} above all (checked by its dual)"
-    remedies = ("shrink the box of [polytopic]", "add a healthy sensor", "declare the slope in premises that vary alike")
-    return Finding(what, why, {"vertices": blocks, "hardest": hardest, "premises": bounds}, remedies, "Bezzaoucha 2013, re-derived")
+    remedies = (
+        "shrink the box of [polytopic]",
+        "add a healthy sensor",
+        "declare the slope in premises that vary alike",
+    )
+    return Finding(
+        what, why, {"vertices": blocks, "hardest": hardest, "premises": bounds}, remedies, "Bezzaoucha 2013, re-derived"
+    )
 
 
 def _no_noise(plant: Plant) -> Finding:

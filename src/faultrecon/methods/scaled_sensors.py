@@ -83,6 +83,19 @@ def _form_findings(plant: Plant) -> list[Finding]:
                 see=SEE,
             )
         ]
+    term = plant.nonlinearity
+    for name, (low, high) in {} if term is None else term.domain.items():
+        least, most = plant.polytopic.box[name]
+        if least < low or most > high:
+            return [
+                Finding(
+                    f"the box of {name} is [{least:g}, {most:g}], the domain of phi [{low:g}, {high:g}]",
+                    why="the observer keeps what phi reads in its domain, so beyond it the vertices are not its own",
+                    evidence={"state": name, "box": [least, most], "domain": [low, high]},
+                    remedies=("shrink polytopic.box", "widen nonlinearity.domain"),
+                    see=SEE,
+                )
+            ]
     try:
         return [f for f in Sector.of(plant).findings() if f.severity == "fatal"]
     except InputError as error:
@@ -174,16 +187,25 @@ def innovation_corners(plant: Plant, *, divided: bool) -> list[Array]:
 
 
 def noise_intensity(plant: Plant, *, divided: bool) -> Array:
-    """What each sensor's noise counts in the innovation, (p,): sd times the root of its hold time.
+    """What unit white sources on the sensors count in the innovation, (p, k): sd times the root of its hold time for
+    each sensor's noise, then the disturbances that act on sensors, in their sizes.
 
     divided: as `innovation_corners`; the smallest reading of the box then counts.
     """
     assert plant.noise is not None
-    root = math.sqrt(plant.noise.hold) * np.array(plant.noise.sd)
+    columns = [np.diag(math.sqrt(plant.noise.hold) * np.array(plant.noise.sd))]
+    for disturbance in plant.disturbances:
+        if any(disturbance.on.values()):
+            column = np.zeros((plant.p, 1))
+            for name, coefficient in disturbance.on.items():
+                column[plant.signals.y.index(name)] = coefficient * disturbance.size
+            columns.append(column)
+    found = np.hstack(columns)
     if not divided:
-        return root
+        return found
     least = np.array([min(abs(a), abs(b)) for a, b in readings(plant)])
-    return np.where(plant.F_f.any(axis=1), root / np.where(least > 0, least, 1.0), root)
+    by = np.where(plant.F_f.any(axis=1) & (least > 0), least, 1.0)
+    return found / by[:, None]
 
 
 # ---------------------------------------------------------------- the equations

@@ -95,11 +95,11 @@ class SimulateInvert(Unproved):
         )
 
 
-def _sensors(F: Array) -> Array:
+def _sensors(F: Array) -> NDArray[np.intp]:
     """Rows of F (p, q) that make an invertible matrix, the best conditioned first."""
     from scipy.linalg import qr
 
-    _, _, order = qr(F.T, pivoting=True)
+    order = np.asarray(qr(F.T, pivoting=True)[-1], dtype=np.intp)
     return np.sort(order[: F.shape[1]])
 
 

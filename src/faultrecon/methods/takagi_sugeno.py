@@ -17,7 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from faultrecon.diagnosis.limits import Floor
 from faultrecon.finding import Finding
 from faultrecon.graph.observer import Observer
-from faultrecon.lmi.expr import I, __, Expr, Inequality, given, let, sym, unknown, zeros
+from faultrecon.lmi.expr import Expr, I, Inequality, __, given, let, sym, unknown, zeros
 from faultrecon.methods.base import Assumed, Identity, Method, Scaling, Theorem
 from faultrecon.methods.papers import BEZZAOUCHA_2013
 from faultrecon.methods.scaled_sensors import innovation, interval, interval_warnings, observer_of, scaling_findings
@@ -44,7 +44,9 @@ class TsPublished(Method):
     """Theorem 1, with its corrections: exact, and of no use as a fault estimator."""
 
     name = "ts-published"
-    summary = "reference: Takagi-Sugeno observer for multiplicative sensor faults as published; its estimate stays at zero"
+    summary = (
+        "reference: Takagi-Sugeno observer for multiplicative sensor faults as published; its estimate stays at zero"
+    )
     paper = BEZZAOUCHA_2013
     uncertain_inputs: ClassVar[bool] = True
 
@@ -105,7 +107,7 @@ class TsPublished(Method):
         sector = Sector.of(plant)
         r = len(sector.vertices)
 
-        def correction(x: object, f: object, y: object, u: object) -> object:
+        def correction(x: Any, f: Any, y: Any, u: Any) -> Any:
             z, μ = sector.family.premises.symbolic(x, u), [ca.SX(1.0)]
             for k, (low, high) in enumerate(sector.ends):
                 upper = (ca.fmin(ca.fmax(z[k], low), high) - low) / (high - low)

@@ -25,6 +25,8 @@ Array = NDArray[np.float64]
 
 TRIED = 64
 """Factorisations looked at; each term with k factors among the states and inputs offers k."""
+BLIND = 1e-12
+"""Below it a singular value is rounding: the vertex does not see something at all."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,7 +65,7 @@ def factorisations(plant: Plant, box: dict[str, Ends]) -> list[Candidate]:
     for (i, term), chosen in zip(slots, choices, strict=True):
         if not chosen:
             raise InputError(
-                f"the term {term.text(names)} of the equation of {names[i]} holds neither a state nor an input as factor",
+                f"the term {term.text(names)} in the equation of {names[i]} has no state and no input for a factor",
                 why="A(z) x + B(z) u vanishes at x = 0, u = 0",
                 remedies=("shift the state to where the term vanishes", "write the form by hand in [polytopic]"),
             )
@@ -131,23 +133,31 @@ def _candidate(
     entries = Graph.from_texts([c for row in cells for c in row], {"z": tuple(premises.values())})
     form = Polytopic(Family(z, entries, (plant.n, len(names)), "[A B]"), box)
     try:
-        seen = _worst_seen(Sector.of(replace(plant, polytopic=form)), plant.C)
+        seen = _worst_seen(Sector.of(replace(plant, polytopic=form)))
     except InputError:  # a premise that is not defined on the box, x1/x2 with x2 through zero
         return None
     return Candidate(form, seen)
 
 
-def _worst_seen(sector: Sector, C: Array) -> float:
-    """The relative smallest singular value of the observability matrix at the worst vertex."""
+def _worst_seen(sector: Sector) -> float:
+    """The relative smallest singular value of the observability matrix of (x, f) at the worst vertex.
+
+    A multiplicative fault is a constant seen through the sensor's reading at the operating point.
+    """
+    plant = sector.plant
+    scaling = [j for j, f in enumerate(plant.faults) if f.effect == "multiplicative" and f.site == "sensor"]
+    C = np.hstack([plant.C, np.diag(plant.point.y) @ plant.F_f[:, scaling]])
     worst = np.inf
     for A in sector.A:
-        A = A / max(np.abs(A).max(), 1e-300)  # a faster vertex is not better seen for its speed alone
+        whole = np.zeros((C.shape[1], C.shape[1]))
+        # Relative to its fastest entry: a faster vertex is not better seen for its speed alone.
+        whole[: plant.n, : plant.n] = A / max(float(np.abs(A).max()), 1e-300)
         rows = [C]
-        for _ in range(len(A) - 1):
-            rows.append(rows[-1] @ A)
+        for _ in range(len(whole) - 1):
+            rows.append(rows[-1] @ whole)
         sizes = np.linalg.svd(np.vstack(rows), compute_uv=False)
         worst = min(worst, float(sizes[-1] / sizes[0]) if sizes[0] > 0 else 0.0)
-    return worst
+    return 0.0 if worst < BLIND else worst
 
 
 # ---------------------------------------------------------------- reading products off a graph

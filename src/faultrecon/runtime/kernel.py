@@ -117,7 +117,9 @@ def program(general: General) -> Program:
     return Program(text, constants)
 
 
-def _unrolled(general: General, stepper: Stepper, limit: float) -> tuple[list[str], list[str], Mapping[str, Array]] | None:
+def _unrolled(
+    general: General, stepper: Stepper, limit: float
+) -> tuple[list[str], list[str], Mapping[str, Array]] | None:
     """Straight-line code; None when it would be too long."""
     lay = general.layout
     nz, k = lay.nz, lay.m + lay.p

@@ -86,7 +86,7 @@ class Filling:
         known[:, m + gone] = 0.0
         from_v[m + gone] = solve @ known
         from_v[np.ix_(m + gone, m + gone)] = np.eye(gone.size) - solve @ K
-        return Filling(from_z, from_v, tuple(m + gone))
+        return Filling(from_z, from_v, tuple(int(row) for row in m + gone))
 
 
 @dataclass(frozen=True, eq=False)
@@ -228,7 +228,8 @@ class Stepper:
         packed = ca.vertcat(*(ca.vec(part) for one, _ in moves for part in one)) if moves else ca.SX(0, 1)
         last = self._keep_last(v0, v1)
         z1 = self._settled(z, last, moves)
-        return ca.Function("settle", [z, v0, v1, packed], [ca.densify(ca.vertcat(z1, self._fill(self.after, z1, last)))])
+        out = ca.vertcat(z1, self._fill(self.after, z1, last))
+        return ca.Function("settle", [z, v0, v1, packed], [ca.densify(out)])
 
     # ------------------------------------------------------------ running them
 
@@ -332,8 +333,7 @@ class Stepper:
             return filled
         gain = times(o.split[1], times(o.Cf, z) + times(o.Df, filled))
         for row in filling.predicted:
-            i = row - m
-            filled[row] = filled[row] + gain[i] * (filled[row] + o.y0[i])
+            filled[row] = filled[row] + gain[row - m] * (filled[row] + o.y0[row - m])
         return filled
 
     def _settled(self, z: Any, v1: Any, moves: Sequence[tuple[Move, int]]) -> Any:

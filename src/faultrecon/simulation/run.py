@@ -221,7 +221,9 @@ class Run:
         value = dict(zip(signals.x, self.x.T, strict=True)) | dict(zip(signals.u, self.u.T, strict=True))
         value |= dict(zip(names, self.f.T, strict=True))
         guess = dict(zip(signals.x, self.x_hat.T, strict=True)) | dict(zip(names, self.f_hat.T, strict=True))
-        return tuple(f"the {what} leaves the box of the polytopic form" for what in form.left(value=value, estimate=guess))
+        return tuple(
+            f"the {what} leaves the box of the polytopic form" for what in form.left(value=value, estimate=guess)
+        )
 
     def columns(self) -> dict[str, Array]:
         """Like a log with its truth: t, inputs, measurements, true_f_<fault>, f_<fault>, <sensor>_corrected and _ok."""
