@@ -84,7 +84,7 @@ FAULTS = {
 
 
 @cache
-def truth(shape, hold="continuous", true_d=d, sample_time=0.02):
+def truth(shape, true_d=d):
     plant = reactor()
     if true_d != d:
         phi = plant.nonlinearity.phi
@@ -92,13 +92,12 @@ def truth(shape, hold="continuous", true_d=d, sample_time=0.02):
         plant = replace(plant, nonlinearity=replace(plant.nonlinearity, phi=other), polytopic=None)
     scenario = fr.Scenario(
         duration=140.0,
-        sample_time=sample_time,
+        sample_time=0.02,
         faults={"fouling": FAULTS[shape]},
         inputs={"dilution": dilution},
         noise=False,
         x0=(0.1, 1.5),
         initial_error=(0.01, -0.8),
-        input_hold=hold,
     )
     return true_run(plant, scenario)
 
@@ -400,9 +399,11 @@ def inverted():
 
 def test_simulating_and_inverting_is_exact_without_noise():
     # Inputs held over each sample, so that the estimator's own integration, of order four, is all that is left.
-    found = watch(inverted(), truth("step", hold="sample", sample_time=0.05), hold="left")
-    window = found.t >= 60.0 - 1e-9
-    assert np.sqrt(np.mean((found.f_hat - found.f)[window] ** 2)) < 1e-8
+    faults = {"fouling": lambda t: np.where(t < 5.0, 0.0, 0.25)}
+    inputs = {"dilution": dilution}
+    scenario = fr.Scenario(20.0, 0.02, faults, inputs, noise=False, input_hold="sample")
+    found = fr.simulate(inverted(), scenario, hold="left")
+    assert np.sqrt(np.mean((found.f_hat - found.f) ** 2)) < 1e-8
 
 
 def test_a_wrong_feed_concentration_is_a_sensor_gain_to_every_method():
