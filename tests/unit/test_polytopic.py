@@ -20,6 +20,7 @@ from faultrecon.plant.polytopic import Family
 from faultrecon.plant.sector import Sector, right_side
 from faultrecon.plant.signals import Channels, Noise
 from faultrecon.plant.stored import plant_from_dict
+from faultrecon.testing import all_checks, check_method
 
 FILE = """
 schema = 1
@@ -267,3 +268,17 @@ def test_the_right_side_is_the_plants_equation():
     f = right_side(plant)
     x, u = np.array([3.1, 0.2]), np.array([0.3])
     assert f(x, u) == pytest.approx(plant.nonlinearity.phi(x, u, [0.0]), rel=1e-15)
+
+
+@pytest.mark.parametrize(
+    "name", ["ts-mean-value", "ts-guaranteed-cost", "ts-published", "ts-published-known-input", "simulate-invert"]
+)
+def test_the_methods_for_lost_gain_pass_every_check_on_the_reactor(name):
+    assert len(check_method(name, [fr.library("activated_sludge")])) == len(all_checks())
+
+
+def test_a_level_that_is_a_deviation_is_not_called_a_gain():
+    made = fr.design(fr.library("activated_sludge"), "ts-mean-value")
+    score = fr.simulate(made, fr.Scenario.step("fouling", size=0.3, at=5.0, duration=10.0)).score()
+    assert score.achieved is None and score.outside == ()  # noise of the declared size is what the bound is about
+    assert f"error deviation up to {made.level:.6g} under white noise" in str(score)

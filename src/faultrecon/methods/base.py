@@ -214,6 +214,7 @@ class Method(ABC):
     """A published method.  Subclasses are found by scanning `faultrecon.methods` and the entry-point group.
 
     backoff: how far above its optimum a design stays unless told otherwise.  criterion: how gains that need no theorem are picked, in words.
+    level_of: whether γ is a gain from counted disturbances to the error, or a standard deviation under declared white noise.
     """
 
     name: ClassVar[str]
@@ -223,6 +224,7 @@ class Method(ABC):
     variant_of: ClassVar[str | None] = None
     backoff: ClassVar[float] = 0.05
     criterion: ClassVar[str] = "none: there is nothing to choose"
+    level_of: ClassVar[Literal["gain", "deviation"]] = "gain"
     reproductions: ClassVar[Sequence[Reproduction]] = ()
 
     @abstractmethod

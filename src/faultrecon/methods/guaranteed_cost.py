@@ -46,6 +46,7 @@ class TsGuaranteedCost(Method):
     paper = BEZZAOUCHA_2013
     # The optimum is attained here, so the back-off is room for the proof alone: the gains stay those of least cost.
     backoff = 1e-4
+    level_of = "deviation"
     divided: ClassVar[bool] = False
 
     def assumptions(self, plant: Plant) -> list[Finding]:
@@ -106,7 +107,7 @@ class TsGuaranteedCost(Method):
         varying = [name for name in sector.family.names if name not in sector.measured]
         found = [_agreement(sector, "A(z) x + B(z) u = f(x, u)"), _bounds(sector)]
         if varying:
-            text = f"(A(z) - A(ẑ)) x for {', '.join(varying)} is taken for noise of the declared size"
+            text = f"(A(z) - A(ẑ)) x + (B(z) - B(ẑ)) u for {', '.join(varying)} is taken for noise of the declared size"
             found.append(Assumed("frozen premise", text, "assumed"))
         return found
 

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from faultrecon.finding import InputError, did_you_mean
+from faultrecon.methods.registry import method
 from faultrecon.plant.fault import Disturbance
 from faultrecon.plant.plant import Plant
 from faultrecon.runtime.samples import Trace
@@ -37,7 +38,8 @@ class Score(Mapping[str, FaultScore]):
     achieved: sqrt(∫|f - f̂|² / (∫|w|² + V(e(0))/γ²)) over the run, in declared sizes, sensor noise counted in w; None
     when nothing disturbs, or when noise acts that is no declared disturbance.  level: the certified γ, or None.
     outside: why the certificate does not cover this run, empty when it does (up to sampling, which no certificate
-    covers).  undeclared: the sensors whose noise acts and is none of the disturbances.
+    covers).  undeclared: the sensors whose noise acts and is none of the disturbances.  level_of: "deviation" where the
+    level bounds a standard deviation under white noise, with which no single run can be compared.
     """
 
     faults: Mapping[str, FaultScore]
@@ -45,6 +47,7 @@ class Score(Mapping[str, FaultScore]):
     level: float | None
     outside: tuple[str, ...] = ()
     undeclared: tuple[str, ...] = ()
+    level_of: str = "gain"
 
     def __getitem__(self, name: str) -> FaultScore:
         if name not in self.faults:
@@ -74,6 +77,9 @@ class Score(Mapping[str, FaultScore]):
             rest = " ".join(f"{_number(v, '.4g'):>10}" for v in (s.peak, s.delay, s.leak))
             lines.append(f"{name:{width}} {_number(s.nrmse, '.4f'):>9} {rest}")
         level = "none" if self.level is None else f"{self.level:.6g}"
+        if self.level_of == "deviation":
+            lines.append(f"certified: error deviation up to {level} under white noise of the declared sizes")
+            return "\n".join([*lines, *(f"  not covered by the certificate: {reason}" for reason in self.outside)])
         lines.append(f"gain from disturbances to error: {self._gain()}; certified {level}")
         lines += [f"  not covered by the certificate: {reason}" for reason in self.outside]
         return "\n".join(lines)
@@ -149,7 +155,13 @@ class Run:
         """nrmse, peak, delay and leak per fault, and the gain reached against the certified level."""
         names = tuple(f.name for f in self.design.plant.faults)
         found = scores(self.t, self.f, self.f_hat, names)
+        if self._level_of == "deviation":
+            return Score(found, None, self.design.level, self._outside, level_of="deviation")
         return Score(found, self._achieved, self.design.level, self._outside, self._counted_noise[1])
+
+    @property
+    def _level_of(self) -> str:
+        return method(self.design.method).level_of
 
     @cached_property
     def _counted_noise(self) -> tuple[Array, tuple[str, ...]]:
@@ -196,7 +208,7 @@ class Run:
         if design.certificate is None:
             return ("there is none",)
         found = []
-        if self._counted_noise[1]:
+        if self._counted_noise[1] and self._level_of == "gain":
             found.append(undeclared_noise(self._counted_noise[1]))
         if truth.plant.with_faults([f.name for f in design.plant.faults]).digest() != design.plant.digest():
             found.append("the plant that was simulated is not the plant of the design")
@@ -205,7 +217,7 @@ class Run:
             if f.name not in names and truth.f[:, j].any():
                 found.append(f"the fault {f.name} acts and is none of the design's")
         for j, d in enumerate(truth.plant.disturbances):
-            if d.role == "noise" and truth.w[:, j].any():
+            if d.role == "noise" and self._level_of == "gain" and truth.w[:, j].any():
                 found.append(f"{d.name} acts, which is no disturbance that the level counts")
         found += [f"the plant leaves the declared domain of {name}" for name in truth.left_domain()]
         return tuple(found) + self._left_box
