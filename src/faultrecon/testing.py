@@ -300,7 +300,7 @@ def check_observer(trial: Trial) -> None:
 def check_poles_are_stable(trial: Trial) -> None:
     """Every pole of the observer's linear part decays."""
     poles = trial.design.observer.poles
-    sampled = trial.plant.sample_time is not None
+    sampled = trial.design.observer.sample_time is not None
     growing = poles[np.abs(poles) >= 1] if sampled else poles[np.real(poles) >= 0]
     _claim(not growing.size, f"the observer of {trial.method.name} has poles that do not decay: {growing}")
 

@@ -139,7 +139,7 @@ def test_the_sensor_that_brings_a_level_below_the_floor_within_reach_does():
 
 @pytest.mark.parametrize("name", ["thau_on_example_4_2", "open_loop_on_example_4_2"])
 def test_the_other_method_reaches_what_is_said_of_it(name):
-    text = remedy(name, "use the method")
+    text = remedy(name, "use the method lipschitz-hinf")
     other = re.search(r"use the method ([\w-]+)", text)
     assert other
     assert fr.design(CASES[name].plant(), other[1], level=offered(text)).level == offered(text)

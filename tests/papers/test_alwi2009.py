@@ -13,6 +13,7 @@ from scipy.linalg import expm, solve_continuous_are, solve_discrete_lyapunov
 import faultrecon as fr
 from faultrecon.advise.papers.alwi2009 import coupled_infimum, gust
 from faultrecon.methods.registry import method
+from faultrecon.methods.sliding_letters import injection_gain, sliding_gain
 from faultrecon.methods.sliding_mode import WEAK, coordinates
 from faultrecon.numerics.discretise import zoh
 from faultrecon.numerics.hinf import hinf_norm
@@ -51,7 +52,11 @@ def frozen():
     form = coordinates(plant).form
     L = np.array([[0, 0, -2.569768], [0.36, 0, 0], [0, 0, -4.232777]])
     Gl = form.T_inverse @ linear_gain(form, L, -10 * np.eye(3)) @ form.S
-    return plant, L, method("sliding-mode").observer(plant, {"L": L, "G_l": Gl, "P0": np.eye(3)})
+    return (
+        plant,
+        L,
+        method("sliding-mode").observer(plant, {"G_n": injection_gain(plant, L), "G_l": Gl, "P0": np.eye(3)}),
+    )
 
 
 # ---------------------------------------------------------------- flights
@@ -119,7 +124,7 @@ def test_the_wrong_sign_of_C_e_is_another_problem():
 def test_the_norm_lies_between_the_floor_and_the_certified_level():
     for level in (1.22, 1.268376, 1.5):
         made = at_level(level, 0.01)
-        assert FLOOR < norm(made.plant, made.gains["L"]) < made.level
+        assert FLOOR < norm(made.plant, sliding_gain(made.plant, made.gains)) < made.level
         assert made.floor == pytest.approx(FLOOR, abs=1e-9)
 
 
@@ -130,7 +135,7 @@ def test_what_ships_is_proved_and_holds_in_floating_point(paper_equivalent):
     """P of the certificate with the gains that ship, by nothing but numpy: P > 0, Schur complements of (46), (54)."""
     made = paper_equivalent
     assert made.verification.sound
-    form, L, P0 = coordinates(made.plant).form, made.gains["L"], made.gains["P0"]
+    form, L, P0 = coordinates(made.plant).form, sliding_gain(made.plant, made.gains), made.observer.injections[0].weight
     P11 = gains_from({"P11": made.certificate.data["P11"]})["P11"]
     P = np.block([[P11, P11 @ L], [L.T @ P11, P0 + L.T @ P11 @ L]])
     assert np.linalg.eigvalsh(P)[0] > 0.01
@@ -180,7 +185,7 @@ def test_the_reported_level_holds_for_gusts_and_the_printed_inequality_does_not_
 
 def test_implicit_steps_are_of_order_one_free_of_chatter_and_explicit_ones_are_neither(paper_equivalent):
     made = paper_equivalent
-    Ac, Bc, Cc = sliding_motion(coordinates(made.plant).form, made.gains["L"])
+    Ac, Bc, Cc = sliding_motion(coordinates(made.plant).form, sliding_gain(made.plant, made.gains))
     distance, chatter = {}, {}
     for h, duration in ((1e-2, 20.0), (1e-3, 20.0), (1e-4, 12.0)):
         log = flown(made.plant, h, duration, ramp)
@@ -213,7 +218,7 @@ def yaw():
     poles = np.sort(np.linalg.eigvals(sliding_motion(form, L)[0]).real)
     assert poles == pytest.approx([-14.57, -1.059, -0.904], rel=1e-6)
     Gl = form.T_inverse @ linear_gain(form, L, -10 * np.eye(3)) @ form.S
-    return plant, method("sliding-mode").observer(plant, {"L": L, "G_l": Gl, "P0": np.eye(3)})
+    return plant, method("sliding-mode").observer(plant, {"G_n": injection_gain(plant, L), "G_l": Gl, "P0": np.eye(3)})
 
 
 def test_with_a_right_start_the_minimum_phase_case_is_exact(yaw):
@@ -276,7 +281,7 @@ def test_every_sliding_mode_report_states_what_the_linear_part_alone_gives(paper
     made = paper_equivalent
     (note,) = [n for n in made.details.notes if n.startswith("without the injection")]
     alone = float(note.split(" give ")[1].split(" s")[0])
-    assert alone == pytest.approx(norm(made.plant, made.gains["L"]), rel=0.03)
+    assert alone == pytest.approx(norm(made.plant, sliding_gain(made.plant, made.gains)), rel=0.03)
     log = flown(made.plant, 0.01, 20.0, ramp)
     sliding, linear = (rms(found(made.observer, log, 0.01, bound=b) - ramp(log[0])) for b in (1.0, 1e-12))
     assert linear == pytest.approx(sliding, rel=0.02)
@@ -295,7 +300,7 @@ def test_a_design_with_L2_zero_is_refused_with_the_mode_that_is_missed(faulty):
 def test_a_design_with_L2_zero_is_made_where_healthy_sensors_see_every_mode(faulty):
     made = fr.design(aircraft(*faulty), "sliding-mode-exact")
     assert made.verification.sound
-    assert norm(made.plant, made.gains["L"]) == 0.0
+    assert norm(made.plant, sliding_gain(made.plant, made.gains)) < 1e-12
 
 
 def test_pitch_and_yaw_gyros_together_are_possible_with_L2_free():
@@ -316,6 +321,6 @@ def test_a_mode_that_is_seen_by_a_hair_is_treated_as_unseen_with_a_warning(coupl
     with pytest.raises(fr.Impossible, match="hardly see"):
         fr.design(weak, "sliding-mode-exact")
     made = fr.design(weak, "sliding-mode")
-    assert np.abs(made.gains["L"][:, -1]).max() > 1  # L2 != 0
-    assert np.abs(made.gains["L"]).max() < 10  # a Kalman gain of the exact design has 34/coupling
+    assert np.abs(sliding_gain(made.plant, made.gains)[:, -1]).max() > 1  # L2 != 0
+    assert np.abs(sliding_gain(made.plant, made.gains)).max() < 10  # a Kalman gain of the exact design has 34/coupling
     assert any("hardly see" in note for note in made.details.notes)

@@ -21,7 +21,7 @@ from faultrecon.plant.polytopic import Family, corners, weights
 from faultrecon.plant.sector import Sector
 from faultrecon.plant.signals import Noise
 from faultrecon.runtime.estimator import Estimator
-from faultrecon.runtime.stepping import Prediction
+from faultrecon.runtime.filling import Prediction
 from faultrecon.simulation.run import watch
 from faultrecon.simulation.truth import true_run
 from faultrecon.synthesis.certify import shipped

@@ -18,7 +18,7 @@ from faultrecon.graph.function import Graph
 from faultrecon.graph.observer import CopiedTerm, Injection, NonlinearTerm, Observer
 from faultrecon.runtime import kernel
 from faultrecon.runtime.estimator import Estimator
-from faultrecon.runtime.stepping import Prediction
+from faultrecon.runtime.filling import Prediction
 from faultrecon.storage import kernelcache
 
 H = 0.05

@@ -15,7 +15,8 @@ from scipy.integrate import solve_ivp
 from faultrecon.graph.function import Graph
 from faultrecon.graph.observer import CopiedTerm, NonlinearTerm, Observer
 from faultrecon.runtime.estimator import Estimator
-from faultrecon.runtime.stepping import Prediction, substeps
+from faultrecon.runtime.filling import Prediction
+from faultrecon.runtime.stepping import substeps
 
 HOLDS, SCHEMES = ("left", "midpoint", "linear"), ("zoh", "rk4")
 K = np.array([[1.5, 0.2], [0.3, 2.0], [0.0, 0.7]])

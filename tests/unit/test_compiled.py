@@ -19,7 +19,7 @@ from faultrecon.graph.observer import NonlinearTerm, Observer
 from faultrecon.graph.walk import NUMPY, OPERATIONS, walk
 from faultrecon.runtime import engine
 from faultrecon.runtime.estimator import Estimator
-from faultrecon.runtime.stepping import Prediction
+from faultrecon.runtime.filling import Prediction
 from faultrecon.storage import kernelcache
 
 H = 0.02

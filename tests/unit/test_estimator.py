@@ -11,7 +11,7 @@ from faultrecon.finding import InputError
 from faultrecon.graph.function import Graph
 from faultrecon.graph.observer import NonlinearTerm, Observer
 from faultrecon.runtime.estimator import Estimator
-from faultrecon.runtime.stepping import Prediction
+from faultrecon.runtime.filling import Prediction
 
 A = np.array([[0.0, 1.0], [-2.0, -0.6]])
 B = np.array([[0.0], [1.0]])

@@ -18,7 +18,7 @@ from faultrecon.graph.observer import CopiedTerm, Injection, NonlinearTerm, Obse
 from faultrecon.numerics.discretise import zoh
 from faultrecon.runtime import injecting
 from faultrecon.runtime.estimator import Estimator
-from faultrecon.runtime.stepping import Prediction
+from faultrecon.runtime.filling import Prediction
 
 # ADMIRE, Mach 0.22, 3000 m [Alwi, Edwards, Tan 2009]: alpha beta p q r from canard, two elevons, rudder; p q r read.
 AIRCRAFT = (

@@ -210,13 +210,19 @@ def _heading(theorem: Theorem) -> str:
 # ---------------------------------------------------------------- the theorem
 
 
+def _held(letter: str, value: Any) -> str:
+    """A number that is held fixed, or the letter of a matrix that is."""
+    size = getattr(value, "size", 1)
+    return f"${letter} = {float(value):g}$" if size == 1 else f"${letter}$ as the plant asks for"
+
+
 def _theorem(theorem: Theorem) -> list[str]:
     minimised = printed_latex(latex(theorem.minimise))
     unknowns = leaves([i.expr for i in theorem.inequalities], "unknown")
     free = [
         printed_latex(letter_latex(n)) for n in (node.args[0] for node in unknowns.values()) if n not in theorem.fixed
     ]
-    fixed = [f"${printed_latex(letter_latex(k))} = {v:g}$" for k, v in theorem.fixed.items()]
+    fixed = [_held(printed_latex(letter_latex(k)), v) for k, v in theorem.fixed.items()]
     text = f"Minimise ${minimised}$ over ${', '.join(free)}$"
     text += f", with {', '.join(fixed)} unless it is set free with `free=`," if fixed else ","
     own = [f"{shipped_latex(latex(k), theorem)} = {printed_latex(latex(v))}" for k, v in theorem.gains.items()]

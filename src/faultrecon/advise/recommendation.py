@@ -20,6 +20,8 @@ RULE = (
     "of the designs that carry a certificate, the one with the smallest simulated error (RMSE over the RMS of the"
     " fault, averaged over the faults); the lower guaranteed level decides between those within 5 % of it"
 )
+FIRST = "lipschitz-hinf"
+"""Of the methods that apply, the one to try first: no fault enters its level, which holds for any waveform."""
 EQUAL = 1.05
 """Errors of one scenario that differ by less than a part in twenty are no reason to prefer one method."""
 
@@ -86,7 +88,7 @@ def recommend(plant: Plant) -> Recommendation:
         Suitability(name, found.summary, found.baseline, tuple(found.assumptions(plant)))
         for name, found in ((name, method(name)) for name in list_methods())
     ]
-    rows.sort(key=lambda row: (not row.applies, row.baseline))
+    rows.sort(key=lambda row: (not row.applies, row.baseline, row.method != FIRST))
     return Recommendation(plant.name, tuple(f.name for f in plant.faults), tuple(rows))
 
 

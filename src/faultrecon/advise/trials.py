@@ -81,7 +81,7 @@ class Trial:
         o, plant = self.design.observer, self.plant
         size = np.array([f.size for f in plant.faults])
         if not o.injections:
-            rest = np.eye(len(o.A)) - o.A if plant.sample_time is not None else -o.A
+            rest = np.eye(len(o.A)) - o.A if o.sample_time is not None else -o.A
             gain = o.Cf @ np.linalg.solve(rest, o.B[:, o.inputs :] @ o.F) + o.Df[:, o.inputs :] @ o.F
             return gain * size / size[:, None]
         h = 12.0 / float(np.abs(np.real(o.poles)).min()) / SETTLING
@@ -109,7 +109,8 @@ def trial_plants() -> tuple[Plant, ...]:
     """Small plants with additive sensor faults, so that every kind of method finds one it can do.
 
     spring: linear, with a redundant sensor; pendulum: Lipschitz, about a point, with D and noise; cart: as many sensors
-    as states; balance: unstable in a mode that only the faulty sensor sees.
+    as states; balance: unstable in a mode that only the faulty sensor sees; drive: an actuator fault, and a
+    disturbance to decouple.
     """
     spring = plant_from_matrices(
         [[0, 1], [-10, -1]],
@@ -126,7 +127,7 @@ def trial_plants() -> tuple[Plant, ...]:
             Disturbance("hum", {}, {"position_a": 0.1, "speed": 0.1}),
         ],
     )
-    return spring, _pendulum(spring), _cart(spring), _balance()
+    return spring, _pendulum(spring), _cart(spring), _balance(), _drive()
 
 
 def _pendulum(spring: Plant) -> Plant:
@@ -177,6 +178,26 @@ def _balance() -> Plant:
         outputs=["gyro [rad/s]", "tacho [m/s]"],
         faults=[FaultChannel("drift", {"gyro": 1.0}, size=0.5)],
         disturbances=[Disturbance("hum", {}, {"tacho": 0.1})],
+    )
+
+
+def _drive() -> Plant:
+    """An actuator fault, and a disturbance that the sensors show at once."""
+    return plant_from_matrices(
+        [[0, 1, 0], [-6, -1, 3], [0, -1, -4]],
+        [[0], [0], [4]],
+        [[1, 0, 0], [0, 1, 0], [0, 0, 1]],
+        np.zeros((3, 1)),
+        name="drive",
+        states=["angle [rad]", "speed [rad/s]", "current [A]"],
+        inputs=["voltage [V]"],
+        outputs=["encoder [rad]", "tacho [rad/s]", "ammeter [A]"],
+        faults=[FaultChannel("drop", {"voltage": 1.0}, site="actuator", size=0.5)],
+        disturbances=[
+            Disturbance("load", {"speed": 1.0}, role="decouple"),
+            Disturbance("ripple", {"current": 0.1}),
+        ],
+        noise=Noise(0.02, (1e-3, 1e-2, 1e-2)),
     )
 
 

@@ -183,8 +183,12 @@ def pencil_rank(A: Array, E: Array, C: Array, F: Array, s: complex) -> tuple[int
 
 
 def living_in(plant: Plant, direction: Array) -> tuple[str, ...]:
-    """The (at most three) states in which a direction lives, largest share first; () when it touches none."""
-    weight = np.abs(direction)
+    """The (at most three) states in which a direction lives, largest share first; () when it touches none.
+
+    direction: in the plant's units.  States are compared in declared ranges, or in units that balance the model.
+    """
+    units = state_scaling(plant.A, plant.B, plant.C, np.array(plant.signals.x.ranges, dtype=float))
+    weight = np.abs(direction) / np.exp2(units.astype(float))
     if weight.max(initial=0.0) <= 1e-9:
         return ()
     return tuple(plant.signals.x.names[i] for i in np.argsort(-weight) if weight[i] > 0.1 * weight.max())[:3]
@@ -214,10 +218,10 @@ def _unknown_inputs(plant: Plant) -> tuple[Array, Array, Array, Array]:
 
 def fault_columns(plant: Plant) -> tuple[Array, Array]:
     """Every fault into the states (n, q) and onto the measurements (p, q), per physical unit."""
-    return plant.E_f, plant.F_f + plant.D @ _commands(plant)
+    return plant.E_f, plant.F_f + plant.D @ commands(plant)
 
 
-def _commands(plant: Plant) -> Array:
+def commands(plant: Plant) -> Array:
     """Actuator faults onto the inputs, (m, q): they reach the measurements through D as well."""
     out = np.zeros((len(plant.signals.u), len(plant.faults)))
     for j, f in enumerate(plant.faults):

@@ -7,15 +7,52 @@ from dataclasses import replace
 
 import numpy as np
 
-from faultrecon.diagnosis.conditions import Condition, detectable
+from faultrecon.diagnosis.conditions import Condition, detectable, living_in
 from faultrecon.diagnosis.limits import hidden_floor
 from faultrecon.finding import Finding
 from faultrecon.numerics.annihilator import annihilator
+from faultrecon.numerics.pencil import undetectable_modes
 from faultrecon.plant.plant import Plant
 
 WEAK = 5e-3
 """Relative distance to undetectability below which the exact design (L2 = 0) needs gains that amplify noise by
 thousands: modes that are nearly hidden are then treated as hidden."""
+
+
+def pace(plant: Plant) -> float:
+    """A power of two near the plant's time constants, s; 1 where nothing moves."""
+    rates = np.abs(np.linalg.eigvals(plant.A))
+    rates = rates[rates > 1e-9 * rates.max(initial=0.0)]
+    return float(np.exp2(np.rint(-np.mean(np.log2(rates))))) if rates.size else 1.0
+
+
+def visibility(plant: Plant) -> Condition:
+    """How far the healthy sensors are from missing a mode that does not decay, in the plant's own time."""
+    own = pace(plant)
+    found = detectable(replace(plant, A=plant.A * own))
+    return found if found.where is None else replace(found, where=found.where / own)
+
+
+def blind(plant: Plant) -> list[Finding]:
+    """A mode that does not decay and that no sensor sees at all."""
+    own = pace(plant)
+    modes = undetectable_modes(plant.A * own, plant.C)
+    if not modes:
+        return []
+    s, states = modes[0].value / own, living_in(plant, modes[0].direction)
+    return [
+        Finding(
+            f"no sensor sees the mode at {_word(s)}, which does not decay",
+            why="(A, C) is not detectable" + (f"; the mode lives in {', '.join(states)}" if states else ""),
+            evidence={"mode": [s.real, s.imag], "states": list(states)},
+            remedies=("add a sensor that sees this mode",),
+            see="Alwi 2009, section 2",
+        )
+    ]
+
+
+def _word(s: complex) -> str:
+    return f"{s.real:.4g}" + (f" ± {abs(s.imag):.4g}j" if s.imag else "")
 
 
 def structure(plant: Plant) -> list[Finding]:
@@ -58,6 +95,17 @@ def structure(plant: Plant) -> list[Finding]:
                 see=see,
             )
         ]
+    both = [d.name for d in plant.attenuated if any(d.into.values()) and any(d.on.values())]
+    if both:
+        return [
+            Finding(
+                f"disturbance '{both[0]}' acts on states and on sensors at once",
+                why="the sliding motion is analysed for disturbances of the states; on a sensor one passes as noise",
+                evidence={"disturbances": both},
+                remedies=("declare the part on the sensors as noise", "use linear-observer, which counts both"),
+                see="Alwi 2009, section 4",
+            )
+        ]
     return []
 
 
@@ -96,12 +144,11 @@ def not_exact(plant: Plant, seen: Condition) -> Finding:
 def nearly_hidden(seen: Condition) -> Finding:
     """A mode is seen on paper only."""
     where = seen.where or 0j
-    word = f"{where.real:.4g}" + (f" ± {abs(where.imag):.4g}j" if where.imag else "")
     return Finding(
-        f"the healthy sensors hardly see the mode at {word}, so it is treated as hidden",
+        f"the healthy sensors hardly see the mode at {_word(where)}, so it is treated as hidden",
         why=f"a relative change of {seen.distance:.1e} in the model hides it, and gains that rely on it amplify noise",
         evidence={"distance": seen.distance, "tolerance": WEAK},
-        remedies=("use sliding-mode-exact after adding a sensor", "add a healthy sensor that sees this mode"),
+        remedies=("add a healthy sensor that sees this mode",),
         severity="warning",
         see="Alwi 2009, section 3",
     )
@@ -113,7 +160,7 @@ def with_hidden_mode(plant: Plant) -> Plant | None:
     Gains that are found for it do not lean on what the healthy sensors see of that mode.  With v the direction they
     miss at s, freed of what they do see of it: A - (A V - V Λ) V⁺, so that A' V = V Λ and C_1 V = 0.
     """
-    seen = detectable(plant)
+    seen = visibility(plant)
     if not seen.holds or seen.distance >= WEAK or seen.where is None:
         return None
     C1, s = annihilator(plant.F_f) @ plant.C, complex(seen.where)

@@ -9,6 +9,10 @@ Where f̂ is no linear function of z and v, `readout` makes it of them.
 
 φ and g read absolute values; sat keeps the argument of φ in the domain for which its bound is claimed.  Each ν is the
 discontinuous injection of a sliding-mode observer, see `Injection`; most observers have none.
+
+A sampled observer has a sample time, and z at the next sample in place of ż: A, B, N and M are then those of a map from
+one sample to the next, and v, u, y and t are those of the sample that is left behind.  What it shows is that of the new
+one: x̂ = x0 + Cx z + Dx v with the measurement just taken.
 """
 
 from __future__ import annotations
@@ -22,6 +26,9 @@ from numpy.typing import NDArray
 from faultrecon.graph.function import Graph
 
 Array = NDArray[np.float64]
+
+GONE = 1e-6
+"""Multiplier per sample of a mode that one sample ends, as far as anybody can see; its rate would be infinite."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,12 +78,16 @@ class CopiedTerm:
 
 @dataclass(frozen=True, eq=False)
 class Observer:
-    """A continuous-time observer with nz states, driven by v = [u - u0; y - y0] of m + p entries.
+    """An observer with nz states, driven by v = [u - u0; y - y0] of m + p entries.
 
     A (nz, nz), B (nz, m+p), Cx (n, nz), Dx (n, m+p), Cf (q, nz), Df (q, m+p), F (p, q); x0 (n,), u0 (m,), y0 (p,).
+    The injections of a continuous observer, when stepped, act in the order given: each reads what the ones before it
+    have moved.
+
+    sample_time: seconds between the samples of a sampled observer, None for a continuous one.  prior (n, nz): x - x0 as
+    the observer's state alone predicts it, which stands in for samples that lack everything; None: their last value.
     scales: which faults multiply what their sensors show.  readout: graph of f (q), what Cf z + Df v gives, and x (n),
     the absolute x̂; its q outputs are then f̂.
-    Sampled, the injections act in the order given: each reads what the ones before it have moved.
     """
 
     A: Array
@@ -92,6 +103,8 @@ class Observer:
     nonlinear: NonlinearTerm | None = None
     copied: CopiedTerm | None = None
     injections: tuple[Injection, ...] = ()
+    sample_time: float | None = None
+    prior: Array | None = None
     scales: tuple[int, ...] = ()
     readout: Graph | None = None
 
@@ -113,6 +126,14 @@ class Observer:
 
     @property
     def poles(self) -> NDArray[Any]:
-        """Eigenvalues of the linear part, slowest first."""
+        """Eigenvalues of the linear part, slowest first: in 1/s, or multipliers per sample of a sampled observer."""
         values = np.asarray(np.linalg.eigvals(self.A))
-        return values[np.argsort(-values.real)]
+        return values[np.argsort(-values.real if self.sample_time is None else -np.abs(values))]
+
+    @property
+    def rates(self) -> NDArray[Any]:
+        """The poles in 1/s, slowest first; a multiplier below `GONE` counts as that much."""
+        if self.sample_time is None:
+            return self.poles
+        poles = self.poles.astype(np.complex128)
+        return np.log(np.where(np.abs(poles) < GONE, GONE, poles)) / self.sample_time

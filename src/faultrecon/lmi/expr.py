@@ -228,6 +228,15 @@ def sym(rows: Sequence[Sequence[Any]]) -> Expr:
     return Expr("block", (tuple(tuple(row) for row in full),), (sum(size), sum(size)))
 
 
+def blocks(rows: Sequence[Sequence[Expr]]) -> Expr:
+    """A block matrix without symmetry, every block written; its shapes are checked like those of `sym`."""
+    heights, widths = [row[0].shape[0] for row in rows], [block.shape[1] for block in rows[0]]
+    for i, row in enumerate(rows):
+        if [b.shape for b in row] != [(heights[i], w) for w in widths]:
+            raise ShapeError(f"block row {i + 1} has {[b.shape for b in row]}", why=f"the columns are {widths} wide")
+    return Expr("block", (tuple(tuple(row) for row in rows),), (sum(heights), sum(widths)))
+
+
 def show(node: Expr, tight: bool = False) -> str:
     """The expression as one line of text in the paper's letters; named parts by their letter."""
     match node.op:

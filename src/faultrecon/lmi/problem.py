@@ -271,6 +271,8 @@ class DenseAffineAlgebra(AffineAlgebra):
 
     def block(self, rows: list[list[Form]]) -> Form:
         constant = np.block([[b.constant for b in row] for row in rows])
+        if all(b.slope is None for row in rows for b in row):
+            return Form(constant, None)  # known matrices side by side are a known matrix
         N = self.problem.size
         slope = np.zeros((*constant.shape, N))
         at = 0

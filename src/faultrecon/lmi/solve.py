@@ -183,6 +183,9 @@ BRISK: Mapping[str, Any] = {
 """A quarter faster at the same number of iterations, for a first answer that is examined: no refinement of each step,
 no scaling beyond ours, and no search for cliques that are better merged."""
 
+HALFWAY = ("AlmostSolved", "InsufficientProgress", "NumericalError")
+"""Words after which it is asked again."""
+
 
 def _attempt(
     problem: Problem, data: ConicData, tolerance: float, time_limit: float, manner: Mapping[str, Any] = PATIENT
@@ -190,9 +193,10 @@ def _attempt(
     started = time.perf_counter()
     try:
         answer = _clarabel(data, tolerance, time_limit, manner)
-        if _word(answer) == "AlmostSolved" and manner is PATIENT:
+        if _word(answer) in HALFWAY and manner is PATIENT:
             central = _clarabel(data, tolerance, time_limit, CENTRAL)
-            answer = central if _word(central) == "Solved" else answer
+            better = ("Solved",) if _word(answer) == "AlmostSolved" else ("Solved", "AlmostSolved", "PrimalInfeasible")
+            answer = central if _word(central) in better else answer
     except (KeyboardInterrupt, SystemExit):
         raise
     except BaseException as failure:  # a panic inside the compiled solver derives from BaseException alone

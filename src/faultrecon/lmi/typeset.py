@@ -68,10 +68,19 @@ def latex(node: Expr, tight: bool = False) -> str:
         case "block":
             rows = node.args[0]
             lines = [
-                " & ".join(latex(b) if j >= i else r"\star" for j, b in enumerate(row)) for i, row in enumerate(rows)
+                " & ".join(r"\star" if _mirrored(rows, i, j) else latex(b) for j, b in enumerate(row))
+                for i, row in enumerate(rows)
             ]
             return r"\begin{bmatrix}" + r" \\ ".join(lines) + r"\end{bmatrix}"
     return f"({text})" if tight else text
+
+
+def _mirrored(rows: Sequence[Sequence[Expr]], i: int, j: int) -> bool:
+    """Whether a block below the diagonal is the transpose of its mirror image, by construction."""
+    if j >= i or i >= len(rows[j]):
+        return False
+    below, above = rows[i][j], rows[j][i]
+    return (below.op == "T" and below.args[0] is above) or (above.op == "T" and above.args[0] is below)
 
 
 def _raised(node: Expr, power: str) -> str:

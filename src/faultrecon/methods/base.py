@@ -19,6 +19,7 @@ from faultrecon.diagnosis.limits import Floor, reconstruction_floor
 from faultrecon.finding import Finding
 from faultrecon.graph.observer import CopiedTerm, NonlinearTerm, Observer
 from faultrecon.lmi.expr import Expr, Inequality, given
+from faultrecon.plant.fault import Disturbance
 from faultrecon.plant.plant import Plant
 
 Status = Literal["as_printed", "with_change", "not_as_printed", "re_derived"]
@@ -86,7 +87,7 @@ class Theorem:
     minimise: (1, 1) expression of the level to the given power, 2 unless said otherwise.  gains: unknown that ships -> its formula.  prove_with: unknown
     of the program -> its expression in the gains that ship, substituted before the proof.  lyapunov P, drift P (A - L C1),
     readout H1 and noise (P L times sensor noise, one column per unit white source) serve the second criterion; a theorem
-    that has one of its own names the expression whose largest eigenvalue is then to be least in `mildest`.
+    that has one of its own names the expression whose largest eigenvalue is then to be least in `mildest`, and says so in `criterion`.
     drifts: the drift at every vertex, where there are several; the pole bound then holds for each.
     bases: given letters that any matrices may stand for that pass the identities: coordinates, found by the method.
     """
@@ -109,6 +110,7 @@ class Theorem:
     unit: float = 1.0
     power: int = 2
     mildest: Expr | None = None
+    criterion: str = "the mildest gains: least largest eigenvalue of P"
     drifts: Sequence[Expr] = ()
     bases: Sequence[str] = ()
 
@@ -213,8 +215,10 @@ class ClosedForm:
 class Method(ABC):
     """A published method.  Subclasses are found by scanning `faultrecon.methods` and the entry-point group.
 
-    backoff: how far above its optimum a design stays unless told otherwise.  criterion: how gains that need no theorem are picked, in words.
-    level_of: whether γ is a gain from counted disturbances to the error, or a standard deviation under declared white noise.
+    backoff: how far above its optimum a design stays unless told otherwise.  sampled: its observers are maps from one
+    sample to the next, so that no pole is too fast for them.  counts_rates: whether the level counts the faults' rates.
+    criterion: how gains that need no theorem are picked, in words.  level_of: whether γ is a gain from counted
+    disturbances to the error, or a standard deviation under declared white noise.
     """
 
     name: ClassVar[str]
@@ -223,6 +227,8 @@ class Method(ABC):
     baseline: ClassVar[bool] = False
     variant_of: ClassVar[str | None] = None
     backoff: ClassVar[float] = 0.05
+    counts_rates: ClassVar[bool] = False
+    sampled: ClassVar[bool] = False
     criterion: ClassVar[str] = "none: there is nothing to choose"
     level_of: ClassVar[Literal["gain", "deviation"]] = "gain"
     reproductions: ClassVar[Sequence[Reproduction]] = ()
@@ -238,6 +244,18 @@ class Method(ABC):
     @abstractmethod
     def observer(self, plant: Plant, gains: Mapping[str, NDArray[np.float64]]) -> Observer:
         """The executable equations with these gains."""
+
+    def counted(self, plant: Plant) -> tuple[Disturbance, ...] | None:
+        """The disturbances that the level counts; None where no simulated error can be held against it."""
+        return plant.attenuated
+
+    def sampling(self, values: Mapping[str, Any]) -> Method:
+        """The method for the sample time among `values` (what a user fixes), if it is one that is made for one."""
+        return self
+
+    def unsolvable(self, plant: Plant) -> Finding | None:
+        """What a user should read in place of the solver's dual certificate when the inequality has no solution."""
+        return None
 
     def closed_form(self, plant: Plant) -> ClosedForm | None:
         """Another route to the gains than the program, which then is asked for the multipliers of the proof alone."""

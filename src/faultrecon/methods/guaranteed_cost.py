@@ -32,6 +32,7 @@ from faultrecon.methods.scaled_sensors import (
     observer_of,
     scaling_findings,
 )
+from faultrecon.plant.fault import Disturbance
 from faultrecon.plant.plant import Plant
 from faultrecon.plant.sector import Sector
 
@@ -111,6 +112,10 @@ class TsGuaranteedCost(Method):
             found.append(Assumed("frozen premise", text, "assumed"))
         return found
 
+    def counted(self, plant: Plant) -> tuple[Disturbance, ...] | None:
+        """All of them, as white noise of their sizes."""
+        return plant.disturbances
+
     def floor(self, plant: Plant) -> Floor | None:
         """None is known for a variance over a box."""
         return None
@@ -143,7 +148,7 @@ class TsGuaranteedCost(Method):
         bounds = [(sym([[Z, E], [__, P]]) > 0).tagged("Z > E P⁻¹ Eᵀ"), (γ2 - cost > 0).tagged("γ² > tr Z")]
         return Theorem(
             self.name, [*lmis, *bounds], minimise=γ2, gains={G: to@P.inv()@Y}, prove_with={Y: P@back@G, γ2: (κ*γ)**2},
-            unit=κ, lyapunov=P, drift=drifts[0], drifts=drifts, readout=Jf.T, noise=Y@r, mildest=cost,
+            unit=κ, lyapunov=P, drift=drifts[0], drifts=drifts, readout=Jf.T, noise=Y@r, mildest=cost, criterion="least tr Z, the bound itself",
             identities=[Identity("T T⁻¹ = I", T@Ti - I(n)), Identity("V V⁻¹ = I", s["V"]@Vi - I(q), 2.0**-40)],
             premises=self.premises(plant),
             claim="Σ var(e/size) ≤ γ² for white noise of the declared sizes, and"

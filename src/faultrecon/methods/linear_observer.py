@@ -32,6 +32,7 @@ class LinearObserver(Method):
     summary = "baseline: linear H-infinity filter with the fault as a state, no injection; linear plants"
     baseline = True
     paper = ALWI_2009
+    counts_rates = True
 
     def assumptions(self, plant: Plant) -> list[Finding]:
         """Additive sensor faults on a linear plant, ([A 0; 0 0], [C F]) detectable."""

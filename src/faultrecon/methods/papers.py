@@ -49,3 +49,39 @@ TAN_2002 = Paper(
     "Automatica 38(10), 1815-1821",
     "10.1016/S0005-1098(02)00098-5",
 )
+
+JIA_2015 = Paper(
+    "jia2015",
+    "Jia, Q.; Chen, W.; Zhang, Y.; Jiang, Y.",
+    2015,
+    "Robust fault reconstruction in discrete-time Lipschitz nonlinear systems via Euler-approximate proportional "
+    "integral observers",
+    "Mathematical Problems in Engineering 2015, 741702",
+    "10.1155/2015/741702",
+)
+
+JAZWINSKI_1970 = Paper(
+    "jazwinski1970",
+    "Jazwinski, A. H.",
+    1970,
+    "Stochastic processes and filtering theory",
+    "Academic Press, New York",
+)
+
+JULIER_2004 = Paper(
+    "julier2004",
+    "Julier, S. J.; Uhlmann, J. K.",
+    2004,
+    "Unscented filtering and nonlinear estimation",
+    "Proceedings of the IEEE 92(3), 401-422",
+    "10.1109/JPROC.2003.823141",
+)
+
+HUANG_2024 = Paper(
+    "huang2024",
+    "Huang; Gao; Liu",
+    2024,
+    "Sensor fault reconstruction using robustly adaptive unknown-input observers",
+    "Sensors 24(10), 3224",
+    "10.3390/s24103224",
+)

@@ -18,15 +18,23 @@ not in the inequality), and (54) contains M, which the printed one leaves out.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from faultrecon.diagnosis import conditions
 from faultrecon.diagnosis.existence import additive_sensor_findings, fault_findings
 from faultrecon.diagnosis.limits import Floor, hidden_floor
-from faultrecon.diagnosis.sliding import WEAK, constant_fault, nearly_hidden, not_exact, structure, with_hidden_mode
+from faultrecon.diagnosis.sliding import (
+    WEAK,
+    blind,
+    constant_fault,
+    nearly_hidden,
+    not_exact,
+    structure,
+    visibility,
+    with_hidden_mode,
+)
 from faultrecon.finding import Finding
 from faultrecon.graph.observer import CopiedTerm, Injection, Observer
 from faultrecon.lmi.expr import Expr, I, Inequality, __, let, sym, unknown, zeros
@@ -38,25 +46,27 @@ from faultrecon.methods.sliding_letters import (
     coordinates,
     decay_rate,
     held_fixed,
+    into_states,
     multiplier,
     no_direct,
+    said_of_sliding,
     shipped,
+    sliding_gain,
     suggested_bound,
 )
-from faultrecon.numerics.hinf import hinf_norm
 from faultrecon.numerics.sliding import (
-    high_frequency_gain,
     linear_gain,
     reduced_riccati,
-    sliding_motion,
     smallest_level,
 )
+from faultrecon.plant.fault import Disturbance
 from faultrecon.plant.plant import Plant
 
 Array = NDArray[np.float64]
 
 FICTITIOUS = (0.1, 0.01)  # noises of healthy outputs and states that make the reduced Riccati equation regular
 LEEWAY = 1e-3  # how far below the level its gains are computed, so that multipliers prove it strictly
+LINEAR_LEVEL = "γ is the level without the injection; while it slides the error does not depend on the fault at all"
 OUTPUTS_FASTER = 3.0  # times the sliding motion: how errors of the outputs decay without the injection
 
 
@@ -66,17 +76,17 @@ class SlidingMode(Method):
     name = "sliding-mode"
     summary = "sliding-mode observer of the fault as a state; additive incipient sensor faults, unstable plants too"
     paper = ALWI_2009
-    exact: ClassVar[bool | None] = None
-    """Whether L2 = 0 is demanded; None: where the healthy sensors see enough."""
-    printed: ClassVar[bool] = False
-    """Whether (54) leaves M out, as it does in print."""
+    exact: ClassVar[bool | None] = None  # whether L2 = 0 is demanded; None: where the healthy sensors see enough
+    counts_rates = True
+    printed: ClassVar[bool] = False  # whether (54) leaves M out, as it does in print
 
     def assumptions(self, plant: Plant) -> list[Finding]:
         """Additive faults on fewer sensors than there are, C of full row rank, a linear plant, no hidden equilibrium."""
-        found = additive_sensor_findings(plant) or fault_findings(plant) or structure(plant) or constant_fault(plant)
+        found = additive_sensor_findings(plant) or fault_findings(plant) or structure(plant)
+        found = found or blind(plant) or constant_fault(plant)
         if found:
             return found
-        seen = conditions.detectable(plant)
+        seen = visibility(plant)
         if self.exact and seen.distance < WEAK:
             return [not_exact(plant, seen)]
         if self.exact is None and seen.holds and seen.distance < WEAK:
@@ -91,13 +101,20 @@ class SlidingMode(Method):
         """The plant with a nearly hidden mode hidden outright."""
         return with_hidden_mode(plant) if self.exact is None else None
 
+    def counted(self, plant: Plant) -> tuple[Disturbance, ...] | None:
+        """Disturbances of the states; None where the level is that of the linear part alone."""
+        return None if self._linear_level_alone(plant) else tuple(plant.attenuated[k] for k in into_states(plant))
+
+    def _linear_level_alone(self, plant: Plant) -> bool:
+        return self._is_exact(plant) and not into_states(plant)
+
     def _is_exact(self, plant: Plant) -> bool:
-        return bool(self.exact) if self.exact is not None else conditions.detectable(plant).distance >= WEAK
+        return bool(self.exact) if self.exact is not None else visibility(plant).distance >= WEAK
 
     def theorem(self, plant: Plant, scaling: Scaling) -> Theorem:
         """The sliding motion at level γ, and a linear part that is stable at level γ₀."""
         exact = self._is_exact(plant)
-        return self.theorem_46(plant) if exact and not plant.attenuated else self.theorem_54(plant, exact)
+        return self.theorem_46(plant) if exact and not into_states(plant) else self.theorem_54(plant, exact)
 
     # fmt: off
     def theorem_54(self, plant: Plant, exact: bool = False) -> Theorem:
@@ -179,14 +196,17 @@ class SlidingMode(Method):
     # fmt: on
 
     def _claim(self, plant: Plant, exact: bool) -> str:
-        counted = "|f'|²" + (" + |ψ|²" if plant.attenuated else "")
-        if exact and not plant.attenuated:
+        names = ", ".join(plant.attenuated[k].name for k in into_states(plant))
+        if exact and not names:
             return (
                 "while it slides, |f̂ - f| ≤ c exp(-decay t) whatever the fault does; without the injection"
                 " ∫|f̂ - f|² dt ≤ γ² ∫(|f'|² + w_y |n|²) dt + V(e(0)), n the errors of the sensors in declared ranges"
             )
-        counted = "|ψ|²" if exact else f"({counted})" if plant.attenuated else counted
-        return f"while it slides, ∫|f̂ - f|² dt ≤ γ² ∫{counted} dt + V(e1(0)) on every horizon, in declared sizes and seconds"
+        counted = "|ψ|²" if exact else "(|f'|² + |ψ|²)" if names else "|f'|²"
+        return (
+            f"while it slides, ∫|f̂ - f|² dt ≤ γ² ∫{counted} dt + V(e1(0)) on every horizon, in declared sizes and seconds"
+            + (f"; ψ: {names}" if names else "")
+        )
 
     def observer(self, plant: Plant, gains: Mapping[str, Array]) -> Observer:
         """(25) to (27) in the plant's own coordinates: z = [x̂; f̂], innovation S (C x̂ + F f̂ + D u - y)."""
@@ -194,16 +214,17 @@ class SlidingMode(Method):
         n, q, (p, m) = plant.n, len(plant.faults), plant.D.shape
         A = np.block([[plant.A, np.zeros((n, q))], [np.zeros((q, n + q))]])
         C = np.hstack([plant.C, plant.F_f])
-        G_l, L = gains["G_l"], gains["L"]
+        G_l, L = gains["G_l"], sliding_gain(plant, gains)
+        weight = own.Si.T @ gains["P0"] @ own.Si
         copied = base["copied"]
         if copied is not None:
             base["copied"] = CopiedTerm(np.vstack([copied.into, np.zeros((q, copied.into.shape[1]))]), copied.g)
         injection = Injection(
             linear=G_l @ own.Si,
-            into=own.Ti @ np.vstack([-L, np.eye(p)]),
+            into=gains["G_n"],
             reads=own.S @ C,
             direct=own.S @ np.hstack([plant.D, -np.eye(p)]),
-            weight=gains["P0"],
+            weight=0.5 * (weight + weight.T),
             bound=suggested_bound(plant, L),
         )
         return Observer(
@@ -220,26 +241,8 @@ class SlidingMode(Method):
 
     def notes(self, plant: Plant, gains: Mapping[str, Array]) -> tuple[str, ...]:
         """The sliding motion's poles, its gains, the injection's bound, and what the linear part alone would do."""
-        own, L = coordinates(plant), gains["L"]
-        Ac, Bc, Cc = sliding_motion(own.form, L)
-        q = len(plant.faults)
-        level = hinf_norm(Ac, Bc[:, :q], Cc, np.zeros((q, q))).value
-        poles = _listed(np.linalg.eigvals(Ac))
-        noise = float(np.linalg.norm(high_frequency_gain(own.form, L), 2))
-        alone = _linear_level(plant, self.observer(plant, gains))
-        return (
-            f"sliding poles {poles} 1/s; error at most {level:.6g} s times the rate of the fault (worst frequency)",
-            f"noise of a faulty sensor reaches f̂ with gain {noise:.4g} at high frequency",
-            f"injection ν bounded by ρ = {suggested_bound(plant, L):.4g} declared sizes per second; "
-            f"checked in simulation, not proved: that sliding is reached, and the sampled loop",
-            f"without the injection (ν = 0) the same gains give {alone:.6g} s",
-        )
-
-
-def _listed(values: NDArray[Any]) -> str:
-    """Eigenvalues in words: a conjugate pair once."""
-    upper = sorted((s for s in values if s.imag >= 0), key=lambda s: s.real)
-    return ", ".join(f"{s.real:.4g}" + (f" ± {s.imag:.4g}j" if s.imag else "") for s in upper)
+        said = said_of_sliding(plant, gains, self.observer(plant, gains))
+        return (*said, LINEAR_LEVEL) if self._linear_level_alone(plant) else said
 
 
 class SlidingModeExact(SlidingMode):
@@ -275,12 +278,12 @@ class SlidingModeRiccati(SlidingMode):
                 Finding(
                     "the healthy sensors see every mode, so nothing is to be traded",
                     why="L2 = 0 is exact in sliding",
-                    evidence={"distance": conditions.detectable(plant).distance},
+                    evidence={"distance": visibility(plant).distance},
                     remedies=("use sliding-mode",),
                     see="Alwi 2009, section 3",
                 )
             ]
-        if np.any(plant.E_w):
+        if into_states(plant):
             return [
                 Finding(
                     f"{plant.name} declares disturbances of the states",
@@ -328,7 +331,7 @@ class SlidingModeRiccati(SlidingMode):
             p, n1 = own.form.p, own.form.n1
             fastest = float(np.abs(np.linalg.eigvals(own.form.A11 + L @ own.form.A21)).max())
             Y = own.pace * linear_gain(own.form, L, -OUTPUTS_FASTER * fastest * np.eye(p))
-            P = np.block([[np.eye(n1), L], [L.T, np.eye(p) + L.T @ L]])
+            P = np.block([[np.eye(n1), L], [L.T, np.eye(p) + L.T @ L]])  # P11 = P0 = I: for the gains alone
             return {"P11": np.eye(n1), "P12": L, "P22": P[n1:, n1:], "ΔY": P @ Y, "γ_U": np.array([[level / own.pace]])}
 
         least = smallest_level(own.form, *noises) * (1.0 + LEEWAY)
@@ -362,13 +365,6 @@ def _scope(plant: Plant) -> str:
         " errors ask for: checked in simulation), measurement noise, sampling, rounding at run time, or a plant that"
         " differs from the model"
     )
-
-
-def _linear_level(plant: Plant, observer: Observer) -> float:
-    """The gain from the faults' rates to the errors with ν = 0, s, in declared sizes."""
-    size = np.array([f.size for f in plant.faults])
-    into, q = np.vstack([np.zeros((plant.n, len(size))), np.diag(size)]), len(size)
-    return hinf_norm(observer.A, into, observer.Cf / size[:, None], np.zeros((q, q))).value
 
 
 _NOT_ATTAINED = (

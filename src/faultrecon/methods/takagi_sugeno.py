@@ -29,6 +29,7 @@ from faultrecon.lmi.expr import Expr, I, Inequality, __, given, let, sym, unknow
 from faultrecon.methods.base import Assumed, Identity, Method, Scaling, Theorem
 from faultrecon.methods.papers import BEZZAOUCHA_2013
 from faultrecon.methods.scaled_sensors import innovation, interval, interval_warnings, observer_of, scaling_findings
+from faultrecon.plant.fault import Disturbance
 from faultrecon.plant.plant import Plant
 from faultrecon.plant.polytopic import corners
 from faultrecon.plant.sector import Sector
@@ -56,6 +57,10 @@ class TsPublished(Method):
         if found:
             return found
         return [_disconnected(plant), *interval_warnings(plant), *Sector.of(plant).findings()]
+
+    def counted(self, plant: Plant) -> tuple[Disturbance, ...] | None:
+        """None: the level counts x, f, f' and u, which persist."""
+        return None
 
     def floor(self, plant: Plant) -> Floor | None:
         """The estimator x̂ = 0, f̂ = 0 has e = (x, f), a part of ω: its gain is one, and no theorem is needed for it."""

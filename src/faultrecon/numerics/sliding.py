@@ -212,11 +212,11 @@ def smallest_level(canonical: Canonical, d1: float, ep: float) -> float:
 
 
 def minimal_gamma0(canonical: Canonical, R: ArrayLike) -> float:
-    """The infimum of the γ0 for which (46) has a solution P > 0: the H-infinity filter of the linear part.
+    """The infimum of the γ0 for which (46), or (63) with M, has a solution P > 0: the filter of the linear part.
 
     R = D1 D1ᵀ (p, p), positive definite, D1 the noise of the outputs S y; that of the plant's own outputs is S D1.
     The smallest γ0, to 1e-8 from above, with a stabilising Σ = γ0 P⁻¹ >= 0 of
-    A_a Σ + Σ A_aᵀ + F_a F_aᵀ + ep² I + Σ (C_fᵀC_f/γ0² - C_aᵀ R⁻¹ C_a) Σ = 0 for a very small ep.
+    A_a Σ + Σ A_aᵀ + F_a F_aᵀ + M_a M_aᵀ + ep² I + Σ (C_fᵀC_f/γ0² - C_aᵀ R⁻¹ C_a) Σ = 0 for a very small ep.
     """
     R = np.asarray(R, dtype=float)
     if R.shape != (canonical.p, canonical.p) or not np.allclose(R, R.T, rtol=1e-12, atol=0):
@@ -228,8 +228,8 @@ def minimal_gamma0(canonical: Canonical, R: ArrayLike) -> float:
     A, F, C, N = canonical.A_a, canonical.F_a, canonical.C_a, canonical.T.shape[0]
     unit = np.ldexp(1.0, state_scaling(A, F, C))
     little = LITTLE_NOISE * spectral_norm(F / unit[:, None]) * unit
-    B = np.hstack([F, np.diag(little), np.zeros((N, canonical.p))])
-    E = np.hstack([np.zeros((canonical.p, canonical.q + N)), D1])
+    B = np.hstack([F, canonical.M_a, np.diag(little), np.zeros((N, canonical.p))])
+    E = np.hstack([np.zeros((canonical.p, B.shape[1] - canonical.p)), D1])
     return _optimal(A, B, C, E, canonical.C_f)
 
 
@@ -252,30 +252,30 @@ def linear_gain(canonical: Canonical, L: ArrayLike, A22s: ArrayLike) -> Array:
 
 @dataclass(frozen=True, slots=True)
 class InjectionBound:
-    """|ν_eq| <= value * sup |ξ|; of the value at most `slack` is due to the quadrature."""
+    """|ν_eq| <= value * sup |ξ| (or |ψ|); of the value at most `slack` is due to the quadrature."""
 
     value: float
     slack: float
 
 
-def peak_injection(canonical: Canonical, L: ArrayLike, *, rtol: float = 1e-3) -> InjectionBound:
-    """How large ν_eq = -A21 e1 + F_2 ξ can become per unit of sup |ξ|: rho >= value * sup |ξ| keeps the motion sliding.
+def peak_injection(canonical: Canonical, L: ArrayLike, *, of: str = "rate", rtol: float = 1e-3) -> InjectionBound:
+    """How large ν_eq = -A21 e1 + F_2 ξ + M_2 ψ becomes per unit of sup |ξ|, or of sup |ψ|: ρ above it keeps sliding.
 
-    From e1 = 0 without ψ, Euclidean norms at each instant, ν in the outputs S y per second: 1 + ∫ |A21 e^(Ac t) L2| dt.
-    Never below the true peak, up to rounding: curvature and tail are bounded in a norm in which e^(Ac t) contracts.
-    Above it where outputs peak at different times.  Raises Impossible when Ac is not stable.
+    of: "rate" for ξ, "disturbance" for ψ.  From e1 = 0, Euclidean norms at each instant, ν in the outputs S y per
+    second: |F_2| + ∫ |A21 e^(Ac t) L2| dt, or with M_2, M_1 + L M_2.  Never below the true peak, up to rounding;
+    above it where outputs peak at different times.  Raises Impossible when Ac is not stable.
     """
     Ac, Bc, _ = sliding_motion(canonical, L)
-    poles = np.linalg.eigvals(Ac)
-    if poles.real.max() >= 0:
-        why = f"an eigenvalue of A11 + L A21 has real part {poles.real.max():.3g}"
-        raise Impossible("no bound on the injection", why=why, remedies=("choose L by reduced_riccati",))
-    model = _contracting(Ac, Bc[:, : canonical.q], canonical.A21)
-    cells = 64
-    low, high = _norm_integral(*model, cells, 0.1 * rtol)
-    while high - low > rtol * (1 + high) and cells < MAX_CELLS:
+    if (growth := float(np.linalg.eigvals(Ac).real.max())) >= 0:
+        raise Impossible("no bound on the injection", why=f"A11 + L A21 has an eigenvalue with real part {growth:.3g}")
+    into = np.split(Bc, [canonical.q], axis=1)[of != "rate"]
+    if not into.size:
+        return InjectionBound(0.0, 0.0)
+    direct, model = 1.0 if of == "rate" else spectral_norm(canonical.M_2), _contracting(Ac, into, canonical.A21)
+    low, high = _norm_integral(*model, cells := 64, 0.1 * rtol)
+    while high - low > rtol * (direct + high) and cells < MAX_CELLS:
         low, high = _norm_integral(*model, cells := 2 * cells, 0.1 * rtol)
-    return InjectionBound(1 + high, high - low)
+    return InjectionBound(direct + high, high - low)
 
 
 def _contracting(A: Array, B: Array, C: Array) -> tuple[Array, Array, Array]:

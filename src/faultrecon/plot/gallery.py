@@ -54,6 +54,21 @@ def traces_figure(t: ArrayLike, rows: Sequence[Trace], *, title: str = "") -> Fi
     return figure
 
 
+def powers_figure(x: ArrayLike, lines: Mapping[str, tuple[ArrayLike, str]], *, across: str, up: str) -> Figure:
+    """Lines over x (N,) with both scales logarithmic, by label with their colour; across and up name the axes."""
+    figure = draw._figure(7.2, 4.6)
+    ax = figure.subplots()
+    at = np.asarray(x, dtype=float)
+    for label, (values, color) in lines.items():
+        ax.loglog(
+            at, np.asarray(values, dtype=float), color=color, marker="o", markersize=4, linewidth=1.2, label=label
+        )
+    draw._dress(ax, up, "")
+    ax.set_xlabel(across)
+    draw._title_and_legend(figure, "", [ax])
+    return figure
+
+
 def run_figure(run: Run, *, title: str | None = None) -> Figure:
     """The faults of a run as they were and as they were found, and the sensors they sit on."""
     plant = run.design.plant

@@ -14,6 +14,9 @@ What happens to imperfect samples is part of the contract:
 - An interval that is not the sample time (by more than one millionth) is integrated over its own length, in parts no
   longer than the sample time; for all but rk4, lengths are told apart to one millionth of the sample time.
   Implicit injections act once, at the new sample, for the whole interval.
+- A sampled observer is not integrated.  An interval of k sample times is k - 1 rows that never came: each is predicted
+  whole, like a sample without a single measurement, and counted among the gaps.  Any other interval is taken for the
+  nearest such one, and `ok` is False for the whole row: its time is not the one the observer has counted to.
 - A wrong shape, or time that does not increase, raises InputError.
 
 Two engines share the work, see `runtime.engine`: which one is reported, and the rules are the same.
@@ -34,7 +37,8 @@ from numpy.typing import ArrayLike, NDArray
 from faultrecon.finding import InputError
 from faultrecon.graph.observer import Observer
 from faultrecon.runtime.engine import Chosen, Engine, EngineName
-from faultrecon.runtime.general import General, stability_limit
+from faultrecon.runtime.filling import Prediction
+from faultrecon.runtime.general import REGULAR, General, stability_limit
 from faultrecon.runtime.injecting import check, overridden
 from faultrecon.runtime.samples import (
     Array,
@@ -48,7 +52,7 @@ from faultrecon.runtime.samples import (
     checked_row,
     columns,
 )
-from faultrecon.runtime.stepping import Hold, Prediction, Scheme
+from faultrecon.runtime.stepping import Hold, Scheme
 
 COMFORT = 1 / 3  # of the RK4 limit: there |h s| <= 0.93 and one step errs by less than |h s|^5/120 = 0.6 % of a mode
 WORTHWHILE = 32  # plain rows: going from the general engine to the compiled one and back costs as much as 40 of them
@@ -96,6 +100,7 @@ class Estimator:
         auto: exact exponentials for a linear observer; for a nonlinear one RK4 where its step is a third of the
         stability limit or less, else exponentials; for one with injections the implicit scheme, which does not chatter
         ("explicit" does; it is for comparison).  prediction: the plant's C and D, for missing channels.
+        A sampled observer has its own sample time and map: scheme is "sampled", and hold "left" whatever is asked for.
         engine: "auto" compiles when a log is long enough to repay it, "casadi" never, "numba" now.
         bound, layer: ρ and δ of the injections in place of the observer's own, one number for all or one for each; ρ
         is a noise tuning knob: no larger than the fault needs, since it is what noise can move the state by per second.
@@ -105,9 +110,9 @@ class Estimator:
             raise InputError(f"the sample time is {sample_time}", why="it is a positive number of seconds")
         if hold not in ("left", "midpoint", "linear"):
             raise InputError(f"'{hold}' is no hold", remedies=("use left, midpoint or linear",))
-        if scheme not in ("auto", "zoh", "rk4", "implicit", "explicit"):
+        if scheme not in ("auto", "zoh", "rk4", "implicit", "explicit", "sampled"):
             raise InputError(
-                f"'{scheme}' is no integration scheme", remedies=("use auto, zoh, rk4, implicit or explicit",)
+                f"'{scheme}' is no integration scheme", remedies=("use auto, zoh, rk4, implicit, explicit or sampled",)
             )
         if engine not in ("auto", "casadi", "numba"):
             raise InputError(f"'{engine}' is no engine", remedies=("use auto, casadi or numba",))
@@ -117,6 +122,9 @@ class Estimator:
         if scheme == "auto":
             scheme = _best_scheme(observer, sample_time)
         _demand_scheme_for(observer, scheme)
+        if observer.sample_time is not None:
+            _demand_its_sample_time(observer.sample_time, sample_time)
+            hold = "left"
         if scheme == "rk4":
             _demand_stable_rk4(observer, sample_time)
         return Estimator(observer, float(sample_time), hold, scheme, prediction, engine)
@@ -127,6 +135,7 @@ class Estimator:
     def __repr__(self) -> str:
         o = self.observer
         kind = "linear" if o.linear else "with injections" if o.injections else "nonlinear"
+        kind += "" if o.sample_time is None else ", sampled"
         return (
             f"Estimator({kind}, {o.A.shape[0]} states, {len(o.y0)} sensors, {o.F.shape[1]} faults; "
             f"every {self.sample_time:g} s, hold {self.hold}, scheme {self.scheme}, engine {self.engine})"
@@ -278,17 +287,40 @@ class Estimator:
 
 
 def rk4_limit(observer: Observer) -> float:
-    """The largest stable RK4 step for the linear part of an observer, s; inf when nothing decays."""
+    """The largest stable RK4 step for the linear part of a continuous observer, s; inf when nothing decays."""
     return stability_limit(observer.A)
 
 
 def _best_scheme(observer: Observer, sample_time: float) -> Scheme:
+    if observer.sample_time is not None:
+        return "sampled"
     if observer.injections:
         return "implicit"
     return "rk4" if not observer.linear and sample_time <= COMFORT * rk4_limit(observer) else "zoh"
 
 
+def _demand_its_sample_time(own: float, given: float) -> None:
+    if abs(given - own) > REGULAR * own:
+        raise InputError(
+            f"the sample time is {given:g} s, and this observer is made for {own:g} s",
+            why="it is a map from one sample to the next, and another sample time has another map",
+            evidence={"sample_time": given, "designed for": own},
+            remedies=(f"sample every {own:g} s", f"design for {given:g} s: fix={{'T': {given:g}}}"),
+        )
+
+
 def _demand_scheme_for(observer: Observer, scheme: Scheme) -> None:
+    if (observer.sample_time is not None) != (scheme == "sampled"):
+        sampled = observer.sample_time is not None
+        raise InputError(
+            f"'{scheme}' cannot step a {'sampled' if sampled else 'continuous'} observer",
+            why="its equations say what z is at the next sample, so there is nothing to integrate"
+            if sampled
+            else "its equations say how fast z changes, not what it is at the next sample",
+            remedies=("use scheme='auto'" + (" or 'sampled'" if sampled else ", 'zoh' or 'rk4'"),),
+        )
+    if observer.sample_time is not None and observer.injections:
+        raise InputError("a sampled observer with injections", why="an injection is stated for continuous time")
     if observer.injections and scheme in ("zoh", "rk4"):
         raise InputError(
             f"'{scheme}' cannot step an observer with discontinuous injections",

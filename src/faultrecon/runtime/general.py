@@ -16,8 +16,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from faultrecon.graph.observer import Observer
+from faultrecon.runtime.filling import Filling, Prediction, reads_directly
 from faultrecon.runtime.samples import Array, Layout, Mask, State, last_known
-from faultrecon.runtime.stepping import LONG, Filling, Hold, Prediction, Scheme, Stepper, call, reads_directly, substeps
+from faultrecon.runtime.stepping import LONG, Hold, Scheme, Stepper, call, substeps
 
 if TYPE_CHECKING:
     import casadi
@@ -59,9 +60,12 @@ class General:
             s = self._first(state, v, missing)
         else:
             s = self._next(before[lay.carried], state.t, state.missing, t, v, missing)
-        fault, x, corrected, ok = self._read(s[None], y[None], missing[None], np.array([lost.any()]))
-        gap = bool(missing.any() or lost.any())
-        clock = [t, state.samples + 1, state.gaps + gap]
+        late, skipped = False, 0
+        if self.scheme == "sampled" and state.samples:
+            late, skipped = bool(self._off_beat(t - state.t, t)), int(self._skipped(t - state.t))
+        fault, x, corrected, ok = self._read(s[None], y[None], missing[None], np.array([lost.any() or late]))
+        gap = bool(missing.any() or lost.any() or late)
+        clock = [t, state.samples + 1, state.gaps + gap + skipped]
         return np.concatenate((s, clock, fault[0], x[0], corrected[0], missing, ok[0], u, y))
 
     # ------------------------------------------------------------ many
@@ -90,11 +94,14 @@ class General:
         else:
             s[0] = self._next(before[lay.carried], start.t, start.missing, float(t[0]), v[0], missing[0])
         self._carry(s, t, v, missing, progress)
-        flawed = np.any(lost, axis=1)
+        flawed, skipped = np.any(lost, axis=1), 0
+        if self.scheme == "sampled":
+            lengths = np.diff(t, prepend=start.t if start.samples else t[0] - self.sample_time)
+            flawed, skipped = flawed | self._off_beat(lengths, t), int(self._skipped(lengths).sum())
         parts = self._read(s, y, missing, flawed)
         for place, part in zip(into, parts, strict=True):
             place[:] = part
-        gaps = start.gaps + int(np.count_nonzero(flawed | missing.any(axis=1)))
+        gaps = start.gaps + int(np.count_nonzero(flawed | missing.any(axis=1))) + skipped
         clock = [t[-1], start.samples + len(t), gaps]
         return np.concatenate(
             (s[-1], clock, *(part[-1] for part in parts[:3]), missing[-1], parts[3][-1], u[-1], y[-1])
@@ -138,7 +145,8 @@ class General:
                 v = v.copy()
                 expected = self.prediction.C @ deviation + self.prediction.D @ v[:m]
                 v[m:][missing] = expected[missing]
-            z = np.asarray(np.linalg.lstsq(o.Cx, deviation - o.Dx @ v, rcond=None)[0], dtype=float)
+            reads, read = (o.Cx, deviation - o.Dx @ v) if o.prior is None else (o.prior, deviation)
+            z = np.asarray(np.linalg.lstsq(reads, read, rcond=None)[0], dtype=float)
             if o.injections and (self.prediction is not None or not missing.any()):
                 z = _on_the_surface(o, z, v)
         filled = call(self.stepper(missing, missing).fill, [z, state.v, v], len(v))
@@ -146,12 +154,36 @@ class General:
 
     def _next(self, s: Array, t0: float, gone: Mask, t: float, v: Array, missing: Mask) -> Array:
         """[z; v] at the sample (t, v), v (m+p,) with zeros where a channel is missing, from s = [z; v] at t0."""
-        stepper = self.stepper(gone, missing)
         h = t - t0
+        if self.scheme == "sampled":
+            return self._through(s, t0, gone, int(self._skipped(h)), v, missing)
+        stepper = self.stepper(gone, missing)
         if self.is_regular(h, t):
             return stepper.advance(s, t0, v)
         parts = substeps(h, self.sample_time) if stepper.N.shape[1] or stepper.scheme == "rk4" else 1
         return stepper.advance_by(s, t0, h, v, [self._pack(stepper, h / parts)] * parts, self._pack_moves(stepper, h))
+
+    def _through(self, s: Array, t0: float, gone: Mask, skipped: int, v: Array, missing: Mask) -> Array:
+        """[z; v] of a sampled observer after `skipped` rows that never came and the sample v.
+
+        Where a row is missing the observer predicts all of it, and the last input stays.
+        """
+        lay, nothing = self.layout, np.ones(self.layout.p, dtype=bool)
+        held = np.concatenate((s[lay.v][: lay.m], np.zeros(lay.p)))
+        for first in range(0, skipped, LONG):
+            beats = np.arange(first, min(first + LONG, skipped), dtype=float)
+            t: Array = np.asarray(t0 + self.sample_time * beats, dtype=float)
+            s = self.stepper(gone, nothing).run(s, t, np.tile(held, (len(t), 1)))[-1]
+            gone = nothing
+        return self.stepper(gone, missing).advance(s, t0 + skipped * self.sample_time, v)
+
+    def _skipped(self, interval: Any) -> Any:
+        """How many rows of a sampled observer are missing before the one that ends this interval."""
+        return np.maximum(np.rint(np.asarray(interval) / self.sample_time), 1.0) - 1.0
+
+    def _off_beat(self, interval: Any, t: Any) -> Any:
+        """Whether a sampled observer takes the end of this interval for the nearest beat of its clock."""
+        return ~self.is_regular(interval - self._skipped(interval) * self.sample_time, t)
 
     def is_regular(self, interval: Any, t: Any) -> Any:
         """Whether an interval is the sample time, up to `REGULAR` and the rounding of the clock itself."""
@@ -163,6 +195,8 @@ class General:
         While time passes a channel is unknown if the sample that says what it did is missing: the older one for the
         left hold, the newer one otherwise.  A filled observer whose poles RK4 cannot follow is stepped by zoh.
         """
+        if self.scheme == "sampled":  # what it steps from is the older sample, in which all gaps are filled
+            before = np.zeros_like(after)
         during = before if self.hold == "left" else after
         key = during.tobytes() + after.tobytes()
         if key not in self._steppers:

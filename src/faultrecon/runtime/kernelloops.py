@@ -85,6 +85,15 @@ n[{own}:] = stays[{own}:]
 add_times(N1, n, x, term)
 """
 
+SAMPLED = """\
+times(A, z, x)
+add_times(B, start, x, term)
+"""
+SAMPLED_MORE = """\
+nonlinear(z, start, t0, n)
+add_times(N, n, x, term)
+"""
+
 # The rounds of `injecting.unit`, and what comes before and after them.
 UNIT = """\
 @part
@@ -158,6 +167,10 @@ def looped(general: General, stepper: Stepper) -> tuple[list[str], list[str], Ma
         constants |= {"A": stepper.A.T, "B": stepper.B.T, "N": stepper.N.T}
         helpers = [TIMES, *nonlinear, SLOPE + (SLOPE_MORE if r else "")]
         step = RK4
+    elif general.scheme == "sampled":
+        constants |= {"A": stepper.A.T, "B": stepper.B.T, "N": stepper.N.T}
+        helpers = [TIMES, *nonlinear]
+        step = SAMPLED + (SAMPLED_MORE if r else "")
     else:
         named = zip(("Ad", "B0", "B1", "N0", "N1"), stepper.matrices(h), strict=True)
         constants |= {name: matrix.T for name, matrix in named}

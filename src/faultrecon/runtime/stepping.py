@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""From one sample to the next: how the observer's equations are integrated, and what stands in for a missing channel.
+"""From one sample to the next: how the observer's equations are integrated.
 
 Schemes, each for three ways to read the input between samples:
 
@@ -11,6 +11,10 @@ and two for observers with injections:
 
     implicit  zoh for all but the injections, linear ones included, which then act at the new sample: see `injecting`
     explicit  zoh with each ν held at its value at the beginning of the interval; it chatters, and is for comparison
+
+and one for sampled observers, whose equations are a map from one sample to the next already:
+
+    sampled   that map, applied to the sample that is left behind; nothing is integrated
 
 The same compiled kernel steps one sample and, through CasADi's `mapaccum`, a whole log: the same instructions in the
 same order, so the same bits.
@@ -28,65 +32,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from faultrecon.graph.observer import Observer
+from faultrecon.runtime.filling import Filling
 from faultrecon.runtime.injecting import Move, drift, explicit, move, rounds, rounds_for_any, settled, times
 
 if TYPE_CHECKING:
     import casadi
 
 Hold = Literal["left", "midpoint", "linear"]
-Scheme = Literal["auto", "zoh", "rk4", "implicit", "explicit"]
+Scheme = Literal["auto", "zoh", "rk4", "implicit", "explicit", "sampled"]
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 LONG, SHORT = 1024, 32  # rows per mapped call; 10 ms and 0.3 ms to build, and padded rows cost about 1 us each
-SINGULAR = 1e-8  # a channel whose prediction repeats its own reading to 8 digits has no prediction
-ROUNDING = 1e-12  # of the largest entry in its row: what a pseudo-inverse leaves of a zero
-
-
-@dataclass(frozen=True, eq=False)
-class Prediction:
-    """What the plant says a sensor should read: y - y0 = C (x - x0) + D (u - u0); C (p, n), D (p, m)."""
-
-    C: Array
-    D: Array
-
-
-@dataclass(frozen=True, eq=False)
-class Filling:
-    """The input with its missing channels filled in: v <- from_z z + from_v v, of (m+p) rows.
-
-    predicted: the rows that are predictions, in which faults that multiply have their say afterwards.
-    """
-
-    from_z: Array
-    from_v: Array
-    predicted: tuple[int, ...] = ()
-
-    @staticmethod
-    def of(observer: Observer, prediction: Prediction | None, missing: Mask) -> Filling:
-        """Each missing measurement is the one the observer itself predicts; missing: (p,).
-
-        The prediction is C x̂ + D u + F f̂ over the faults whose estimate does not read a missing channel: its
-        innovation is zero.  Where x̂ repeats the channel itself there is no prediction and the last value stays;
-        between the two, the solution closest to the last value is taken.
-        """
-        m, p = observer.inputs, len(observer.y0)
-        from_z, from_v = np.zeros((m + p, observer.A.shape[0])), np.eye(m + p)
-        gone = np.flatnonzero(missing)
-        if prediction is None or gone.size == 0:
-            return Filling(from_z, from_v)
-        F = observer.split[0] * ~np.any(reads_directly(observer)[:, gone], axis=1)
-        Pz = prediction.C @ observer.Cx + F @ observer.Cf
-        Pv = prediction.C @ observer.Dx + F @ observer.Df
-        Pv[:, :m] += prediction.D
-        K = np.eye(gone.size) - Pv[np.ix_(gone, m + gone)]
-        solve = np.linalg.pinv(K, rcond=SINGULAR)
-        from_z[m + gone] = solve @ Pz[gone]
-        known = Pv[gone]
-        known[:, m + gone] = 0.0
-        from_v[m + gone] = solve @ known
-        from_v[np.ix_(m + gone, m + gone)] = np.eye(gone.size) - solve @ K
-        return Filling(from_z, from_v, tuple(int(row) for row in m + gone))
 
 
 @dataclass(frozen=True, eq=False)
@@ -171,7 +128,7 @@ class Stepper:
         nz, k = self.B.shape
         s, sample = ca.SX.sym("s", nz + k), ca.SX.sym("sample", 1 + k)
         v1 = self._keep_last(s[nz:, :], sample[1:, :])
-        step = self.matrices(self.sample_time) if self.scheme != "rk4" else ()
+        step = self.matrices(self.sample_time) if self.scheme not in ("rk4", "sampled") else ()
         z = self._substep(s[:nz, :], sample[0], *self._held(s[nz:, :], v1), self.sample_time, step)
         z = self._settled(z, v1, self.moves)
         return ca.Function("regular", [s, sample], [ca.densify(ca.vertcat(z, self._fill(self.after, z, v1)))])
@@ -344,10 +301,13 @@ class Stepper:
         return settled(self.observer.injections, moves, z, self._fill(self.after, z, v1)) if moves else z
 
     def _slope(self, z: Any, v: Any, t: Any) -> Any:
+        """The right-hand side: ż, or z at the next sample."""
         linear = times(self.A, z) + times(self.B, v)
         return linear + times(self.N, self.nonlinear(z, v, t)) if self.N.shape[1] else linear
 
     def _substep(self, z: Any, t: Any, v0: Any, vm: Any, v1: Any, h: Any, matrices: Sequence[Any]) -> Any:
+        if self.scheme == "sampled":
+            return self._slope(z, v0, t)
         if self.scheme == "rk4":
             k1 = self._slope(z, v0, t)
             k2 = self._slope(z + 0.5 * h * k1, vm, t + 0.5 * h)
@@ -364,12 +324,6 @@ class Stepper:
         held = linear + times(N0, n0)  # with n0 at both ends this is the exponential Euler step (ETD1)
         n1 = self.nonlinear(held + times(N1, n0), v1, t + h)
         return held + times(N1, _with_the_end_of(n1, n0, self.frozen))
-
-
-def reads_directly(observer: Observer) -> Mask:
-    """Which fault estimates jump when a measurement does, (q, p): Df has an entry there that is not mere rounding."""
-    direct = np.abs(observer.Df[:, observer.inputs :])
-    return direct > ROUNDING * np.max(direct, axis=1, keepdims=True, initial=0.0)
 
 
 def substeps(interval: float, sample_time: float) -> int:

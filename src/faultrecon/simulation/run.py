@@ -13,7 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from faultrecon.finding import InputError, did_you_mean
-from faultrecon.methods.registry import method
+from faultrecon.methods.base import Method
+from faultrecon.methods.registry import method as method_named
 from faultrecon.plant.fault import Disturbance
 from faultrecon.plant.plant import Plant
 from faultrecon.runtime.samples import Trace
@@ -89,7 +90,7 @@ class Score(Mapping[str, FaultScore]):
             return f"achieved {self.achieved:.4g}"
         if self.undeclared:
             return f"not comparable: {undeclared_noise(self.undeclared)}; --no-noise compares"
-        return "nothing disturbs: no gain to compare"
+        return "nothing disturbs: no gain to compare" if not self.outside else "no gain to compare"
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -161,7 +162,11 @@ class Run:
 
     @property
     def _level_of(self) -> str:
-        return method(self.design.method).level_of
+        return self._method.level_of
+
+    @property
+    def _method(self) -> Method:
+        return method_named(self.design.method)
 
     @cached_property
     def _counted_noise(self) -> tuple[Array, tuple[str, ...]]:
@@ -170,7 +175,7 @@ class Run:
         Noise is counted where a disturbance enters its sensor and nothing else; of several the one that costs least,
         since the level holds for every way to explain what the sensor showed.
         """
-        counted = self.design.plant.attenuated
+        counted = self._method.counted(self.design.plant) or ()
         out, undeclared = np.zeros((len(self.t), len(counted))), []
         for j, sensor in enumerate(self.design.plant.signals.y):
             if not self.truth.noise[:, j].any():
@@ -186,17 +191,17 @@ class Run:
     @cached_property
     def _achieved(self) -> float | None:
         plant = self.design.plant
+        counted = self._method.counted(plant)
         noise, undeclared = self._counted_noise
-        if undeclared:
+        if undeclared or counted is None:
             return None
         names = [d.name for d in self.truth.plant.disturbances]
-        w = (
-            self.truth.w[:, [names.index(d.name) for d in plant.attenuated]]
-            if plant.attenuated
-            else self.truth.w[:, :0]
-        )
-        effort = _energy(self.t, (w + noise) / np.array([d.size for d in plant.attenuated]))
-        error = _energy(self.t, (self.f - self.f_hat) / np.array([f.size for f in plant.faults]))
+        w = self.truth.w[:, [names.index(d.name) for d in counted]] if counted else self.truth.w[:, :0]
+        size = np.array([f.size for f in plant.faults])
+        effort = _energy(self.t, (w + noise) / np.array([d.size for d in counted]))
+        if self._method.counts_rates:  # of the straight lines between the samples
+            effort += float(np.sum(np.square(np.diff(self.f / size, axis=0)) / np.diff(self.t)[:, None]))
+        error = _energy(self.t, (self.f - self.f_hat) / size)
         start = initial_cost(self.design, self.x[0] - self.truth.x_hat0)
         if start and self.design.level is not None:
             effort += start / self.design.level**2
@@ -216,8 +221,12 @@ class Run:
         for j, f in enumerate(truth.plant.faults):
             if f.name not in names and truth.f[:, j].any():
                 found.append(f"the fault {f.name} acts and is none of the design's")
+        counted = self._method.counted(design.plant)
+        if counted is None:
+            found.append("the level is another than that from disturbances to this error: see the claim")
+        names_counted = {d.name for d in counted or ()}
         for j, d in enumerate(truth.plant.disturbances):
-            if d.role == "noise" and self._level_of == "gain" and truth.w[:, j].any():
+            if d.name not in names_counted and truth.w[:, j].any():
                 found.append(f"{d.name} acts, which is no disturbance that the level counts")
         found += [f"the plant leaves the declared domain of {name}" for name in truth.left_domain()]
         return tuple(found) + self._left_box

@@ -96,9 +96,7 @@ def climb(
 def pick(posed: Posed, level: float) -> tuple[Outcome, str]:
     """Gains at this level by the second criterion that suits the plant, and that criterion in words."""
     if posed.theorem.mildest is not None:
-        expr = posed.theorem.mildest
-        what = f"least {expr}" if expr.shape == (1, 1) else f"the mildest gains: least largest eigenvalue of {expr}"
-        return mildest(posed, level), what
+        return mildest(posed, level), posed.theorem.criterion
     if posed.plant.noise is not None and any(posed.plant.noise.sd):
         return quietest(posed, level), "least noise in the reconstructed fault (bound)"
     return smallest_gain(posed, level), "least gain from the healthy outputs to the state, in scaled units (bound)"

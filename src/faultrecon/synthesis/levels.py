@@ -99,7 +99,17 @@ def pose(
     return posed
 
 
-ASCII = {"beta": "β", "gamma2": "γ²", "K1": "K₁"}
+ASCII = {
+    "beta": "β",
+    "gamma2": "γ²",
+    "K1": "K₁",
+    "epsilon": "ε",
+    "rho": "ρ",
+    "alpha": "α",
+    "c1": "c₁",
+    "c2": "c₂",
+    "c3": "c₃",
+}
 
 
 def letter(name: str) -> str:

@@ -71,7 +71,7 @@ def design(
     say = progress or (lambda stage: None)
     if faults is not None:
         plant = plant.with_faults(faults)
-    chosen = method_named(method)
+    chosen = method_named(method).sampling(fix or {})
     backoff = chosen.backoff if backoff is None else backoff
     _options(backoff, level)
     if not certify or isinstance(chosen, Unproved):
@@ -126,7 +126,7 @@ def optimum(
 
     Raises Impossible when the inequality has no solution, Inconclusive when the solver cannot tell.
     """
-    chosen = method_named(method)
+    chosen = method_named(method).sampling(fix or {})
     if (closed := chosen.closed_form(plant)) is not None:
         return closed.optimum
     posed = pose(
@@ -237,6 +237,8 @@ def _checked_optimum(posed: Posed, by_riccati: LevelSolution | None) -> tuple[fl
 def _level(outcome: Outcome, posed: Posed) -> float:
     if outcome.solved:
         return posed.theorem.level(outcome.objective)
+    if (known := posed.method.unsolvable(posed.plant)) is not None:
+        raise Impossible(known)
     if outcome.status == "infeasible":
         raise Impossible(no_solution(posed, outcome))
     raise Inconclusive(no_answer(posed, outcome))
@@ -257,7 +259,7 @@ def _bounded(
             raise InputError(f"the pole bound is {pole_bound!r}", why="it is 'auto', None or a positive number")
         posed = pose(chosen, plant, fix=fix, free=free, pole_bound=float(pole_bound))
         return posed, _level(posed.optimum(), posed), ()
-    bound = wanted = math.inf if pole_bound is None else automatic_pole_bound(plant)
+    bound = wanted = math.inf if pole_bound is None or chosen.sampled else automatic_pole_bound(plant)
     if math.isinf(bound):
         return pose(chosen, plant, fix=fix, free=free), best, ()
     for _ in range(8):

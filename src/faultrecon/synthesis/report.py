@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from faultrecon.finding import InputError
 from faultrecon.graph.observer import Observer
-from faultrecon.numerics.discretise import held_noise_covariance, rk4_polynomial_limit
+from faultrecon.numerics.discretise import discrete_covariance, held_noise_covariance, rk4_polynomial_limit
 from faultrecon.plant.plant import Plant
 
 Array = NDArray[np.float64]
@@ -22,8 +22,9 @@ Array = NDArray[np.float64]
 class DesignReport:
     """Numbers about a design, all measured on the gains that ship.
 
-    poles in rad/s; largest_step in s (classical Runge-Kutta, linear part); noise_sd: standard deviation of each
-    reconstructed fault that the declared sensor noise alone causes in the linear part (None: no noise declared).
+    poles in rad/s; largest_step in s (classical Runge-Kutta, linear part; of a sampled observer its sample time);
+    noise_sd: standard deviation of each reconstructed fault that the declared sensor noise alone causes in the linear
+    part (None: no noise declared).
     """
 
     criterion: str
@@ -62,7 +63,7 @@ class DesignReport:
 
 def fault_noise(plant: Plant, observer: Observer) -> dict[str, float] | None:
     """Standard deviation of each f̂ under the declared sensor noise, held per sample: f̂ = Cf z + Df v, linear part."""
-    if plant.noise is None or np.any(np.linalg.eigvals(observer.A).real >= 0):
+    if plant.noise is None or np.any(np.real(observer.rates) >= 0):
         return None
     m = observer.inputs
     variances = np.square(plant.noise.sd)
@@ -70,7 +71,10 @@ def fault_noise(plant: Plant, observer: Observer) -> dict[str, float] | None:
     if term is not None and term.direct is not None:  # y may enter through the nonlinear part: to first order, at rest
         slope = term.phi.jacobian("x")(term.offset, observer.u0, [0.0])
         B = B + term.into @ slope @ term.direct[:, m:]
-    covariance = held_noise_covariance(observer.A, B, variances, plant.noise.hold)
+    if observer.sample_time is None:
+        covariance = held_noise_covariance(observer.A, B, variances, plant.noise.hold)
+    else:
+        covariance = discrete_covariance(observer.A, (B * variances) @ B.T)
     # A sample is in y before it has moved the state, so at a sample instant the two parts are uncorrelated.
     Cf, direct = observer.Cf, observer.Df[:, m:] * np.sqrt(variances)
     if observer.readout is not None:
@@ -82,12 +86,12 @@ def fault_noise(plant: Plant, observer: Observer) -> dict[str, float] | None:
 
 def describe(plant: Plant, observer: Observer, gains: Mapping[str, Array], **known: Any) -> DesignReport:
     """The report of a design; `known` holds what the pipeline alone can tell."""
-    poles = observer.poles
+    poles = observer.rates
     return DesignReport(
         gain_norms={name: float(np.linalg.norm(value, 2)) if value.size else 0.0 for name, value in gains.items()},
         fastest_pole=float(np.abs(poles).max()),
         slowest_pole=float(np.abs(np.real(poles)).min()),
-        largest_step=rk4_polynomial_limit(poles),
+        largest_step=observer.sample_time or rk4_polynomial_limit(poles),
         noise_sd=fault_noise(plant, observer),
         **known,
     )

@@ -53,21 +53,23 @@ class Design:
         return None if self.certificate is None else prove(self.certificate)
 
     def estimator(self, sample_time: float | None = None, **options: Any) -> Estimator:
-        """The observer at run time: pure `init` and `step`.  sample_time in s, the noise's hold time by default.
+        """The observer at run time: pure `init` and `step`.  sample_time in s: by default that of a sampled
+        observer, else the noise's hold time.
 
         options: `hold` ("left", "midpoint", "linear"), `scheme` ("auto", "zoh", "rk4"; "implicit" and "explicit" for
         sliding modes), `engine` ("auto", "casadi", "numba"), and for sliding modes `bound` ρ and `layer` δ of the
         injection, see `Estimator.build`.  `estimator.warm()` compiles ahead for fast single steps.
         """
         from faultrecon.runtime.estimator import Estimator
-        from faultrecon.runtime.stepping import Prediction
+        from faultrecon.runtime.filling import Prediction
 
         prediction = Prediction(self.plant.C, self.plant.D)
         return Estimator.build(self.observer, self._sample_time(sample_time), prediction=prediction, **options)
 
     def _sample_time(self, given: float | None) -> float:
-        if given is not None:
-            return given
+        own = given if given is not None else self.observer.sample_time
+        if own is not None:
+            return own
         if self.plant.noise is None:
             raise InputError("no sample time is known", remedies=("pass sample_time=... in seconds",))
         return self.plant.noise.hold
@@ -100,7 +102,8 @@ class Design:
         if d.gain_norms:
             lines.append("  gains: " + ", ".join(f"|{k}| = {v:.4g}" for k, v in d.gain_norms.items()))
         lines.append(f"  poles: fastest {d.fastest_pole:.4g} rad/s, slowest decay {d.slowest_pole:.4g} 1/s")
-        lines.append(f"  largest stable Runge-Kutta step: {d.largest_step:.4g} s")
+        sampled = self.observer.sample_time is not None
+        lines.append(f"  {'sample time' if sampled else 'largest stable Runge-Kutta step'}: {d.largest_step:.4g} s")
         if d.noise_sd is not None:
             units = dict(zip(self.plant.signals.y.names, self.plant.signals.y.units, strict=True))
             for fault in self.plant.faults:

@@ -18,6 +18,7 @@ from faultrecon.advise.papers._alwi2009_flights import (
     paper_design,
     reconstructed,
 )
+from faultrecon.methods.sliding_letters import sliding_gain
 from faultrecon.plot.figures import ALARM, CORRECTED, ESTIMATE, TRUTH, save
 
 if TYPE_CHECKING:
@@ -55,7 +56,7 @@ def bands(noise: float, seed: int, title: str) -> Figure:
         f = shape(flown.t)
         y = flown.outputs(made.plant.F_f, f, noise, seed)
         found, linear = reconstructed(made.observer, flown, y), reconstructed(made.observer, flown, y, bound=1e-12)
-        exact = ideal(made.plant, made.gains["L"], f, 0.01)
+        exact = ideal(made.plant, sliding_gain(made.plant, made.gains), f, 0.01)
         rate = recent_rate(flown, f, MEMORY[name])
         for ax, base in ((above, f), (below, 0.0 * f)):
             for seconds, alpha, label in (
@@ -84,7 +85,7 @@ def chatter() -> Figure:
     """Three discretisations of one observer while the aircraft pitches and the ramp begins."""
     made, flown = paper_design(), flight(0.01, 25.0)
     f = FAULTS["ramp"](flown.t)
-    y, exact = flown.outputs(made.plant.F_f, f), ideal(made.plant, made.gains["L"], f, 0.01)
+    y, exact = flown.outputs(made.plant.F_f, f), ideal(made.plant, sliding_gain(made.plant, made.gains), f, 0.01)
     shown = flown.t <= 8.0
     kinds: dict[str, dict[str, Any]] = {
         "explicit": {"scheme": "explicit"},

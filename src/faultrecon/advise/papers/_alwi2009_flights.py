@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from faultrecon.graph.observer import Observer
 from faultrecon.io.library import read_library
 from faultrecon.methods.registry import method
+from faultrecon.methods.sliding_letters import injection_gain
 from faultrecon.methods.sliding_mode import coordinates
 from faultrecon.numerics.discretise import zoh
 from faultrecon.numerics.hinf import hinf_norm
@@ -93,7 +94,7 @@ def block_triangular(plant: Plant, L: Array, decay: float = 10.0) -> Observer:
     """The observer of a given L without a semidefinite program: errors of the outputs fall with exp(-decay t)."""
     own = form(plant)
     Gl = own.T_inverse @ linear_gain(own, L, -decay * np.eye(plant.p)) @ own.S
-    return method("sliding-mode").observer(plant, {"L": L, "G_l": Gl, "P0": np.eye(plant.p)})
+    return method("sliding-mode").observer(plant, {"G_n": injection_gain(plant, L), "G_l": Gl, "P0": np.eye(plant.p)})
 
 
 # ---------------------------------------------------------------- flying

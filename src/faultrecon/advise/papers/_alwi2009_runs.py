@@ -32,6 +32,7 @@ from faultrecon.advise.papers._alwi2009_flights import (
 )
 from faultrecon.advise.reproductions import Comparison, Row
 from faultrecon.methods.registry import method
+from faultrecon.methods.sliding_letters import sliding_gain
 from faultrecon.numerics.sliding import reduced_riccati
 
 Array = NDArray[Any]
@@ -118,7 +119,7 @@ def flights(seed: int) -> list[Comparison]:
             within = tolerance(noise, h, explicit)
             errors.append(Row(f"{label}: {name}", error, reference[0], within[0], note=note))
             changes.append(Row(f"{label}: {name}", change, reference[1], within[1], note=note))
-        exact = error_and_change(flown.t, ideal(made.plant, made.gains["L"], f, h), f)[0]
+        exact = error_and_change(flown.t, ideal(made.plant, sliding_gain(made.plant, made.gains), f, h), f)[0]
         errors.append(Row(f"{label}: exact F(s) f", exact, best, 0.01))
     nothing = {"ramp": 0.0745, "sine": 0.0705, "step": 0.0905}
     t = flight(0.01, 25.0).t
@@ -166,7 +167,7 @@ def distances() -> Comparison:
     for (h, duration), references in DISTANCES.items():
         flown = flight(h, duration)
         f = FAULTS["ramp"](flown.t)
-        y, exact = flown.outputs(made.plant.F_f, f), ideal(made.plant, made.gains["L"], f, h)
+        y, exact = flown.outputs(made.plant.F_f, f), ideal(made.plant, sliding_gain(made.plant, made.gains), f, h)
         for (name, options), reference in zip(LAYERS.items(), references, strict=True):
             if reference is None:
                 continue
@@ -191,8 +192,13 @@ def badly_scaled() -> Comparison:
     plant, rows = aircraft("q"), []
     one, two = at_the_optimum(0.0199)[1], paper_design()
     cases = [
-        ("one stage", method("sliding-mode").observer(plant, one), one["L"], ((5.1e-3, 3.9e-4), (4.4e-3, 3.8e-5))),
-        ("two stages", two.observer, two.gains["L"], ((2.4e-3, None), (5.1e-4, None))),
+        (
+            "one stage",
+            method("sliding-mode").observer(plant, one),
+            sliding_gain(plant, one),
+            ((5.1e-3, 3.9e-4), (4.4e-3, 3.8e-5)),
+        ),
+        ("two stages", two.observer, sliding_gain(two.plant, two.gains), ((2.4e-3, None), (5.1e-4, None))),
     ]
     for name, observer, L, references in cases:
         for h, wanted in zip((0.01, 0.001), references, strict=True):

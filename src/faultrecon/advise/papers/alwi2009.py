@@ -34,6 +34,7 @@ from faultrecon.lmi.expr import I, __, as_expr, given, sym, unknown
 from faultrecon.lmi.problem import Problem
 from faultrecon.lmi.solve import solve
 from faultrecon.methods.registry import method
+from faultrecon.methods.sliding_letters import sliding_gain
 from faultrecon.methods.sliding_mode import SlidingMode
 from faultrecon.numerics.hinf import hinf_norm
 from faultrecon.numerics.pencil import distance_to_undetectability, invariant_zeros, unobservable_modes
@@ -143,13 +144,13 @@ def printed() -> Comparison:
     ours: list[tuple[str, float, float, str]] = [
         (
             "of one stage, p_min = 0.0199",
-            norm(made.plant, gains["L"]),
+            norm(made.plant, sliding_gain(made.plant, gains)),
             3e-4,
             f"one stage with p_min = 0.0199 has the printed norm of the sliding motion, and γ = {alone:.4f}",
         ),
         (
             "of the design used below",
-            norm(made.plant, made.gains["L"]),
+            norm(made.plant, sliding_gain(made.plant, made.gains)),
             2e-5,
             "the level 1.268376 with p_min = 0.01 is ours: the mildest P there has the printed norm",
         ),
@@ -228,11 +229,11 @@ def bounds_of_P() -> Comparison:
     for p_min, (level, size, gain, pole, noise) in BY_P_MIN.items():
         found, gains = at_the_optimum(p_min)
         observer = method("sliding-mode").observer(plant, gains)
-        high = abs(high_frequency_gain(form(plant), gains["L"]).item())
+        high = abs(high_frequency_gain(form(plant), sliding_gain(plant, gains)).item())
         label = f"p_min = {p_min:g}"
         rows += [
             Row(f"{label}: γ", found, level, 5e-4),
-            Row(f"{label}: norm", norm(plant, gains["L"]), size, 5e-4),
+            Row(f"{label}: norm", norm(plant, sliding_gain(plant, gains)), size, 5e-4),
             Row(f"{label}: |G_l|", float(np.linalg.norm(gains["G_l"], 2)), gain, 0.35, note=LOOSE),
             Row(f"{label}: fastest linear pole", float(np.real(observer.poles).min()), pole, 0.02),
             Row(f"{label}: |F(∞)|", high, noise, 2e-3),
@@ -247,9 +248,9 @@ def paper_equivalent() -> Comparison:
     """The design that every simulation uses."""
     made = paper_design()
     plant, gains = made.plant, made.gains
-    L2 = gains["L"][:, -1]
-    poles = np.sort(np.asarray(np.linalg.eigvals(motion(plant, gains["L"])[0])).real)
-    Ac, Bc, Cc = motion(plant, gains["L"])
+    L2 = sliding_gain(plant, gains)[:, -1]
+    poles = np.sort(np.asarray(np.linalg.eigvals(motion(plant, sliding_gain(plant, gains))[0])).real)
+    Ac, Bc, Cc = motion(plant, sliding_gain(plant, gains))
     rest = float((-Cc @ np.linalg.solve(Ac, Bc[:, :1])).item())
     weights = np.linalg.eigvalsh(gains["P0"])
     rows = [Row(f"L2, row {k + 1}", float(L2[k]), v, 2e-4) for k, v in ((0, -2.569768), (2, -4.232777))]
@@ -260,7 +261,7 @@ def paper_equivalent() -> Comparison:
         Row("lateral sliding pole", float(poles[0]), -3.611694, 0.1, note=LOOSE),
         Row("fastest linear pole", float(np.real(made.observer.poles).min()), -30.33, 1e-3),
         Row("G̃(0)", rest, -1.2212, 2e-5),
-        Row("F(∞)", high_frequency_gain(form(plant), gains["L"]).item(), -3.2328, 1e-4),
+        Row("F(∞)", high_frequency_gain(form(plant), sliding_gain(plant, gains)).item(), -3.2328, 1e-4),
         Row("least eigenvalue of P0", float(weights[0]), 0.28139, 1e-3),
         Row("middle eigenvalue of P0", float(weights[1]), 0.76093, 0.1, note=LOOSE),
         Row("largest eigenvalue of P0", float(weights[2]), 4.28069, 0.1, note=LOOSE),
@@ -314,7 +315,7 @@ def gust(size: float, name: str) -> tuple[float, float, float, float]:
     windy = replace(plant, disturbances=(Disturbance("gust", into=into, size=size),))
     posed = pose(method(name), windy, fix=CHOSEN | {"p_min": 1e-3})
     outcome = posed.optimum()
-    Ac, Bc, Cc = motion(windy, shipped(posed.theorem, outcome.values)["L"])
+    Ac, Bc, Cc = motion(windy, sliding_gain(windy, shipped(posed.theorem, outcome.values)))
     found = [hinf_norm(Ac, B, Cc, np.zeros((1, B.shape[1]))).value for B in (Bc, Bc[:, :1], Bc[:, 1:])]
     return posed.theorem.level(outcome.objective), found[0], found[1], found[2]
 
