@@ -303,7 +303,7 @@ def _variants(method: Method) -> list[str]:
             "`faultrecon methods --variants` lists it.",
             *(["It adds"] if more else []),
             *(formula(printed_latex(inequality_latex(i))) for i in more),
-            *(["where", formulas(printed_latex(line) for line in definitions_latex(more))] if more else []),
+            *(["where", formulas(map(printed_latex, letters))] if (letters := definitions_latex(more)) else []),
             *_compared(method, other),
         ]
     return parts

@@ -55,7 +55,8 @@ def page(*parts: str) -> str:
 
 def formulas(several: Iterable[str]) -> str:
     """Short formulas beside each other where there is room."""
-    return "::::{container} formulas\n" + "\n\n".join(formula(latex) for latex in several) + "\n::::"
+    shown = [formula(latex) for latex in several]
+    return "::::{container} formulas\n" + "\n\n".join(shown) + "\n::::" if shown else ""
 
 
 def folded(title: str, text: str) -> str:
