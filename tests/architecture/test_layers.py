@@ -153,6 +153,7 @@ def test_methods_never_import_each_other():
         "papers",
         "registry",
         "regular_form",
+        "scaled_sensors",
         "sliding_letters",
         "errors_uio",
         "parallel_model",

@@ -100,10 +100,10 @@ def test_the_exit_codes_are_those_of_the_program():
 
 def plant_keys() -> set[str]:
     """The keys that the reader of plant files asks for: the names in its calls of `fields`, and those of the top."""
-    from faultrecon.io import formulas, plantfile
+    from faultrecon.io import formulas, plantfile, polytopic
 
     found = {*plantfile._REQUIRED, *plantfile._OPTIONAL}
-    for module in (plantfile, formulas):
+    for module in (plantfile, formulas, polytopic):
         assert module.__file__ is not None
         for call in ast.walk(ast.parse(Path(module.__file__).read_text(encoding="utf-8"))):
             if isinstance(call, ast.Call) and isinstance(call.func, ast.Attribute) and call.func.attr == "fields":

@@ -72,7 +72,10 @@ def additive_sensor_findings(plant: Plant) -> list[Finding]:
                     f"fault '{f.name}' is {f.effect} on a{'n' if f.site[0] == 'a' else ''} {f.site}",
                     why="the method reconstructs additive sensor faults",
                     evidence={"fault": f.name, "site": f.site, "effect": f.effect},
-                    remedies=("declare it additive: the waveform of (gain - 1) times the signal is then reconstructed",)
+                    remedies=(
+                        "declare it additive: the waveform of (gain - 1) times the signal is then reconstructed",
+                        "use ts-mean-value, which reconstructs the gain itself",
+                    )
                     if f.site == "sensor"
                     else ("reconstruct the sensor faults alone, with the actuator as a [[disturbance]]",),
                     see=see,

@@ -87,8 +87,8 @@ def reconstruction_floors(plants: Sequence[Plant]) -> list[Floor | None]:
 
 
 def _has_floor(plant: Plant) -> bool:
-    """Independent sensor faults, and no others."""
-    if not plant.faults or any(f.site == "actuator" for f in plant.faults):
+    """Independent additive sensor faults, and no others."""
+    if not plant.faults or any(f.site == "actuator" or f.effect == "multiplicative" for f in plant.faults):
         return False
     return column_rank(plant.F_f) == len(plant.faults)
 

@@ -2,7 +2,7 @@
 """Read a plant from its TOML file; whatever is wrong in it is named by file, line and key.
 
 The format is version 1 of the plant schema: [signals], [noise], [operating_point], [matrices], [nonlinearity],
-[known], [[disturbance]] and [[fault]].  Formulas are parsed, never evaluated.
+[known], [polytopic], [[disturbance]] and [[fault]].  Formulas are parsed, never evaluated.
 """
 
 from __future__ import annotations
@@ -17,13 +17,17 @@ from numpy.typing import NDArray
 from faultrecon.finding import did_you_mean
 from faultrecon.io.document import Node, document, read_text
 from faultrecon.io.formulas import known_term, nonlinearity
+from faultrecon.io.polytopic import polytopic
 from faultrecon.plant.fault import Disturbance, FaultChannel
 from faultrecon.plant.plant import OperatingPoint, Plant
 from faultrecon.plant.signals import Channels, Noise, Signals
 
 SCHEMA = 1
 _REQUIRED = ("schema", "name", "signals", "matrices")
-_OPTIONAL = ("source", "sample_time", "noise", "operating_point", "nonlinearity", "known", "disturbance", "fault")
+_OPTIONAL = (
+    *("source", "sample_time", "noise", "operating_point", "nonlinearity", "known", "polytopic"),
+    *("disturbance", "fault"),
+)
 _GROUPS = ("x", "u", "y")
 _KINDS = {"x": "state", "u": "input", "y": "sensor"}
 Channel = TypeVar("Channel", FaultChannel, Disturbance)
@@ -62,6 +66,7 @@ def parse_plant(text: str, source: str = "plant.toml") -> Plant:
             operating_point=_operating_point(top["operating_point"], signals) if "operating_point" in top else None,
             sample_time=sample_time,
             source=top["source"].string() if "source" in top else "",
+            polytopic=polytopic(top["polytopic"], signals, faults) if "polytopic" in top else None,
         )
 
 

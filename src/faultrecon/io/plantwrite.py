@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from faultrecon.finding import InputError
 from faultrecon.graph.function import Graph
 from faultrecon.io.plantfile import SCHEMA, parse_plant
+from faultrecon.io.polytopic import polytopic_lines
 from faultrecon.plant.fault import Disturbance, FaultChannel
 from faultrecon.plant.lipschitz import KnownTerm, Lipschitz
 from faultrecon.plant.plant import Plant
@@ -51,6 +52,8 @@ def plant_text(plant: Plant) -> str:
         lines += _nonlinearity(plant.nonlinearity, plant.signals)
     if plant.known is not None:
         lines += _known(plant.known, plant.signals)
+    if plant.polytopic is not None:
+        lines += polytopic_lines(plant.polytopic, (_number, _quoted, _table))
     for disturbance in plant.disturbances:
         lines += _disturbance(disturbance)
     for fault in plant.faults:
@@ -77,7 +80,7 @@ def _check_reads_back(plant: Plant, text: str) -> None:
                 remedies=("use that constant", 'declare yours with basis "assumed"'),
             )
     written, read = plant.to_dict(), again.to_dict()
-    lost = [key for key in written if written[key] != read[key]]
+    lost = [key for key in written if written[key] != read.get(key)]
     if lost:
         raise InputError(f"the plant '{plant.name}' cannot be written as a file", why=f"{lost[0]} would change")
 

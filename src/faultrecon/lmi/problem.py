@@ -96,7 +96,8 @@ class Problem:
     @cached_property
     def dense(self) -> bool:
         """Whether the problem is small enough for plain arrays."""
-        return max((i.expr.shape[0] for i in self.inequalities), default=1) ** 2 * self.size <= DENSE
+        blocks = [i.expr.shape[0] ** 2 * self.size for i in self.inequalities]
+        return max(blocks, default=0) <= DENSE and sum(blocks) <= DENSE_IN_ALL
 
     @cached_property
     def _algebra(self) -> AffineAlgebra:
@@ -239,6 +240,8 @@ class AffineAlgebra:
 
 DENSE = 1_000_000
 """Coefficients up to which plain arrays are faster than sparse ones, whose every product costs 50 microseconds."""
+DENSE_IN_ALL = 20_000_000
+"""Coefficients of all inequalities together: 160 MB; hundreds of vertices are sparse in the unknowns of each."""
 
 
 class DenseAffineAlgebra(AffineAlgebra):

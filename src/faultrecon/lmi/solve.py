@@ -139,7 +139,8 @@ def solve(
         return first
     again = _attempt(problem, conic_data(problem, margin, problem.pack(first.values)), tolerance, time_limit)
     if not again.solver.endswith(": Solved"):
-        return _attempt(problem, data, tolerance, time_limit) if first is quick else first
+        patient = _attempt(problem, data, tolerance, time_limit) if first is quick else first
+        return patient if patient.solved else first  # a point is a point: the prover has the last word
     effort = {"iterations": first.iterations + again.iterations, "seconds": first.seconds + again.seconds}
     return replace(again, **effort)
 

@@ -88,6 +88,7 @@ class Theorem:
     of the program -> its expression in the gains that ship, substituted before the proof.  lyapunov P, drift P (A - L C1),
     readout H1 and noise (P L times sensor noise, one column per unit white source) serve the second criterion; a theorem
     that has one of its own names the expression whose largest eigenvalue is then to be least in `mildest`, and says so in `criterion`.
+    drifts: the drift at every vertex, where there are several; the pole bound then holds for each.
     bases: given letters that any matrices may stand for that pass the identities: coordinates, found by the method.
     """
 
@@ -110,6 +111,7 @@ class Theorem:
     power: int = 2
     mildest: Expr | None = None
     criterion: str = "the mildest gains: least largest eigenvalue of P"
+    drifts: Sequence[Expr] = ()
     bases: Sequence[str] = ()
 
     def objective(self, level: float) -> float:
@@ -215,7 +217,8 @@ class Method(ABC):
 
     backoff: how far above its optimum a design stays unless told otherwise.  sampled: its observers are maps from one
     sample to the next, so that no pole is too fast for them.  counts_rates: whether the level counts the faults' rates.
-    criterion: how gains that need no theorem are picked, in words.
+    criterion: how gains that need no theorem are picked, in words.  level_of: whether γ is a gain from counted
+    disturbances to the error, or a standard deviation under declared white noise.
     """
 
     name: ClassVar[str]
@@ -227,6 +230,7 @@ class Method(ABC):
     counts_rates: ClassVar[bool] = False
     sampled: ClassVar[bool] = False
     criterion: ClassVar[str] = "none: there is nothing to choose"
+    level_of: ClassVar[Literal["gain", "deviation"]] = "gain"
     reproductions: ClassVar[Sequence[Reproduction]] = ()
 
     @abstractmethod

@@ -23,6 +23,15 @@ ALWI_2009 = Paper(
     "10.1016/j.automatica.2009.02.031",
 )
 
+BEZZAOUCHA_2013 = Paper(
+    "bezzaoucha2013",
+    "Bezzaoucha, S.; Marx, B.; Maquin, D.; Ragot, J.",
+    2013,
+    "State and multiplicative sensor fault estimation for nonlinear systems",
+    "2nd International Conference on Control and Fault-Tolerant Systems (SysTol), 63-68",
+    "",
+)
+
 TAN_2003 = Paper(
     "tan2003",
     "Tan, C. P.; Edwards, C.",

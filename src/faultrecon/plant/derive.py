@@ -65,6 +65,7 @@ def discretised(plant: Plant, h: float, how: Hold = "zoh") -> Plant:
         known=None if plant.known is None else replace(plant.known, into=M),
         noise=noise,
         sample_time=float(h),
+        polytopic=None,  # it describes the continuous plant
         source=_note(plant, f"discretised: {how}, {h:g} s"),
     )
 
@@ -152,6 +153,7 @@ def linearised(plant: Plant, x: ArrayLike, u: ArrayLike = (), *, t: float = 0.0)
         disturbances=_moved(plant, W),
         nonlinearity=None,
         known=None,
+        polytopic=None,
         operating_point=OperatingPoint(_floats(x), _floats(u), _floats(_output(plant, x, u))),
         source=_note(plant, "linearised"),
     )

@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from faultrecon.finding import InputError
 from faultrecon.plant.fault import Disturbance, FaultChannel
 from faultrecon.plant.lipschitz import KnownTerm, Lipschitz
+from faultrecon.plant.polytopic import Polytopic
 from faultrecon.plant.signals import Noise, Signals
 from faultrecon.storage.hashing import canonical_digest
 
@@ -58,6 +59,7 @@ class Plant:
     operating_point: OperatingPoint | None = None
     sample_time: float | None = None
     source: str = field(default="", compare=False)
+    polytopic: Polytopic | None = None
 
     def __post_init__(self) -> None:
         n, m, p = len(self.signals.x), len(self.signals.u), len(self.signals.y)
@@ -78,6 +80,8 @@ class Plant:
         for owner, into in (("phi", self.nonlinearity), ("g", self.known)):
             if into is not None and into.into.shape[0] != n:
                 raise InputError(f"{owner} enters {into.into.shape[0]} equations", why=f"there are {n} states")
+        if self.polytopic is not None:
+            _check_form(self.polytopic, self.signals)
         names = [c.name for c in (*self.faults, *self.disturbances)]
         for name in names:
             if names.count(name) > 1:
@@ -232,6 +236,7 @@ class Plant:
             else {"hold": float(self.noise.hold).hex(), "sd": [float(s).hex() for s in self.noise.sd]},
             "operating_point": {g: [float(v).hex() for v in getattr(self.point, g)] for g in ("x", "u", "y")},
             "sample_time": None if self.sample_time is None else float(self.sample_time).hex(),
+            **({} if self.polytopic is None else {"polytopic": self.polytopic.to_dict()}),
         }
 
     def digest(self) -> str:
@@ -239,7 +244,7 @@ class Plant:
         return canonical_digest(self.to_dict())
 
     def __repr__(self) -> str:
-        kind = "Lipschitz" if self.nonlinearity is not None else "linear"
+        kind = "polytopic" if self.polytopic else "Lipschitz" if self.nonlinearity is not None else "linear"
         faults = ", ".join(f.name for f in self.faults) or "no fault declared"
         return (
             f"Plant({self.name!r}: {kind}, {self.n} states, {len(self.signals.u)} inputs, {self.p} sensors; "
@@ -258,6 +263,19 @@ def _matrix(letter: str, value: Any, shape: tuple[int, int]) -> Array:
         raise InputError(f"matrices.{letter}[{i}][{j}] is {array[i, j]}", why="every entry must be a finite number")
     array.setflags(write=False)
     return array
+
+
+def _check_form(form: Polytopic, signals: Signals) -> None:
+    """The polytopic form speaks of these signals."""
+    n, m = len(signals.x), len(signals.u)
+    for family, shape in ((form.sector, (n, n + m)), (form.slope, (n, n))):
+        if family is None:
+            continue
+        if family.shape != shape:
+            raise InputError(f"polytopic.{family.letter} is {family.shape}", why=f"the signals ask for {shape}")
+        known = {"x": signals.x.names, "u": signals.u.names}
+        if dict(family.premises.inputs) != known:
+            raise InputError(f"the premises read {dict(family.premises.inputs)}", why=f"the signals are {known}")
 
 
 def _columns(signals: Any, tables: Sequence[Any]) -> Array:

@@ -15,6 +15,7 @@ from faultrecon.graph.function import Graph
 from faultrecon.plant.fault import Disturbance, FaultChannel
 from faultrecon.plant.lipschitz import KnownTerm, Lipschitz
 from faultrecon.plant.plant import OperatingPoint, Plant
+from faultrecon.plant.polytopic import Polytopic
 from faultrecon.plant.signals import Channels, Noise, Signals
 from faultrecon.storage.hashing import canonical_digest
 
@@ -61,6 +62,7 @@ def _plant(s: Mapping[str, Any]) -> Plant:
         noise=None if noise is None else Noise(_number(noise["hold"]), tuple(_number(v) for v in noise["sd"])),
         operating_point=OperatingPoint(*(tuple(_number(v) for v in point[g]) for g in ("x", "u", "y"))),
         sample_time=None if s["sample_time"] is None else _number(s["sample_time"]),
+        polytopic=Polytopic.from_dict(s["polytopic"]) if "polytopic" in s else None,
     )
 
 

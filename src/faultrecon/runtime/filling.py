@@ -27,10 +27,14 @@ class Prediction:
 
 @dataclass(frozen=True, eq=False)
 class Filling:
-    """The input with its missing channels filled in: v <- from_z z + from_v v, of (m+p) rows."""
+    """The input with its missing channels filled in: v <- from_z z + from_v v, of (m+p) rows.
+
+    predicted: the rows that are predictions, in which faults that multiply have their say afterwards.
+    """
 
     from_z: Array
     from_v: Array
+    predicted: tuple[int, ...] = ()
 
     @staticmethod
     def of(observer: Observer, prediction: Prediction | None, missing: Mask) -> Filling:
@@ -45,7 +49,7 @@ class Filling:
         gone = np.flatnonzero(missing)
         if prediction is None or gone.size == 0:
             return Filling(from_z, from_v)
-        F = observer.F * ~np.any(reads_directly(observer)[:, gone], axis=1)
+        F = observer.split[0] * ~np.any(reads_directly(observer)[:, gone], axis=1)
         Pz = prediction.C @ observer.Cx + F @ observer.Cf
         Pv = prediction.C @ observer.Dx + F @ observer.Df
         Pv[:, :m] += prediction.D
@@ -58,11 +62,11 @@ class Filling:
         stays = np.eye(gone.size) - solve @ K
         if observer.prior is None:
             from_v[np.ix_(m + gone, m + gone)] = stays
-            return Filling(from_z, from_v)
+            return Filling(from_z, from_v, tuple(int(row) for row in m + gone))
         from_z[m + gone] += stays @ (prediction.C @ observer.prior + F @ observer.Cf)[gone]
         from_v[np.ix_(m + gone, m + gone)] = 0.0
         from_v[m + gone, :m] += stays @ prediction.D[gone]
-        return Filling(from_z, from_v)
+        return Filling(from_z, from_v, tuple(int(row) for row in m + gone))
 
     @staticmethod
     def nothing(observer: Observer) -> Filling:

@@ -235,7 +235,7 @@ class General:
 
     @cached_property
     def reader(self) -> casadi.Function:
-        """([z; v; y]) -> [f̂; x̂; y - F f̂; C x̂ + D u]."""
+        """([z; v; y]) -> [f̂; x̂; (y - F_a f̂) / (1 + F_m f̂); C x̂ + D u]."""
         import casadi as ca
 
         o = self.observer
@@ -244,10 +244,16 @@ class General:
         z, v, y = row[:nz, :], row[nz : nz + k, :], row[nz + k :, :]
         fault = _constant(o.Cf) @ z + _constant(o.Df) @ v
         deviation = _constant(o.Cx) @ z + _constant(o.Dx) @ v
+        if o.readout is not None:
+            fault = o.readout.symbolic(fault, ca.DM(o.x0) + deviation)
         predicted = y * math.nan
         if self.prediction is not None:
             predicted = ca.DM(o.y0) + _constant(self.prediction.C) @ deviation + _constant(self.prediction.D) @ v[:m, :]
-        parts = [fault, ca.DM(o.x0) + deviation, y - _constant(o.F) @ fault, predicted]
+        adds, multiplies = o.split
+        corrected = y - _constant(adds) @ fault
+        if o.scales:
+            corrected = corrected / (1.0 + _constant(multiplies) @ fault)
+        parts = [fault, ca.DM(o.x0) + deviation, corrected, predicted]
         return ca.Function("read", [row], [ca.densify(ca.vertcat(*parts))])
 
     @cached_property

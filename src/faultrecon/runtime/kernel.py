@@ -8,6 +8,7 @@ takes long to compile, linear parts are loops over constant matrices; they add u
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 
 import numpy as np
@@ -102,7 +103,9 @@ def program(general: General) -> Program:
     if general.hold == "left":  # while time passed the older sample was read
         lines += [f"if before[{i}] != 0.0:\n        return 1" for i in range(lay.missing.start, lay.missing.stop)]
     lines += [f"v{i} = {name} - {literal(offset)}" for i, (name, offset) in enumerate(zip(measured, rest, strict=True))]
-    straight = general.observer.A.size + general.observer.B.size <= UNROLLED and _unrolled(general, stepper)
+    plain = not o.scales and o.readout is None  # loops read f̂ and the corrected y off matrices alone
+    limit = UNROLLED if plain else math.inf
+    straight = o.A.size + o.B.size <= limit and _unrolled(general, stepper, limit)
     body, helpers, constants = straight or looped(general, stepper)
     places = {
         name: getattr(lay, name) for name in ("fault", "state", "corrected", "missing", "ok", "sample", "t", "width")
@@ -114,14 +117,16 @@ def program(general: General) -> Program:
     return Program(text, constants)
 
 
-def _unrolled(general: General, stepper: Stepper) -> tuple[list[str], list[str], Mapping[str, Array]] | None:
+def _unrolled(
+    general: General, stepper: Stepper, limit: float
+) -> tuple[list[str], list[str], Mapping[str, Array]] | None:
     """Straight-line code; None when it would be too long."""
     lay = general.layout
     nz, k = lay.nz, lay.m + lay.p
     nodes, outputs = instructions(stepper.regular)
     reading, results = instructions(general.reader)
     reading, results = used(reading, results[: lay.q + lay.n + lay.p])
-    if len(nodes) + len(reading) > UNROLLED:
+    if len(nodes) + len(reading) > limit:
         return None
     after = [f"z{i}" for i in range(nz)] + [f"w{i}" for i in range(k)]
     before = [f"s{i}" for i in range(nz + k)]

@@ -131,7 +131,7 @@ class Stepper:
         step = self.matrices(self.sample_time) if self.scheme not in ("rk4", "sampled") else ()
         z = self._substep(s[:nz, :], sample[0], *self._held(s[nz:, :], v1), self.sample_time, step)
         z = self._settled(z, v1, self.moves)
-        return ca.Function("regular", [s, sample], [ca.densify(ca.vertcat(z, _fill(self.after, z, v1)))])
+        return ca.Function("regular", [s, sample], [ca.densify(ca.vertcat(z, self._fill(self.after, z, v1)))])
 
     @cached_property
     def long(self) -> casadi.Function:
@@ -169,7 +169,7 @@ class Stepper:
 
         nz, k = self.B.shape
         z, v0, v1 = ca.SX.sym("z", nz), ca.SX.sym("v0", k), ca.SX.sym("v1", k)
-        return ca.Function("fill", [z, v0, v1], [ca.densify(_fill(self.after, z, self._keep_last(v0, v1)))])
+        return ca.Function("fill", [z, v0, v1], [ca.densify(self._fill(self.after, z, self._keep_last(v0, v1)))])
 
     @cached_property
     def settle(self) -> casadi.Function:
@@ -185,7 +185,8 @@ class Stepper:
         packed = ca.vertcat(*(ca.vec(part) for one, _ in moves for part in one)) if moves else ca.SX(0, 1)
         last = self._keep_last(v0, v1)
         z1 = self._settled(z, last, moves)
-        return ca.Function("settle", [z, v0, v1, packed], [ca.densify(ca.vertcat(z1, _fill(self.after, z1, last)))])
+        out = ca.vertcat(z1, self._fill(self.after, z1, last))
+        return ca.Function("settle", [z, v0, v1, packed], [ca.densify(out)])
 
     # ------------------------------------------------------------ running them
 
@@ -266,7 +267,7 @@ class Stepper:
         import casadi as ca
 
         o, m = self.observer, self.observer.inputs
-        filled = _fill(self.during, z, v)
+        filled = self._fill(self.during, z, v)
         u, y = filled[:m, :] + ca.DM(o.u0), filled[m:, :] + ca.DM(o.y0)
         out = []
         if o.nonlinear is not None:
@@ -281,12 +282,23 @@ class Stepper:
             out += [explicit(one, times(one.reads, z) + times(one.direct, filled)) for one in o.injections]
         return ca.vertcat(*out)
 
+    def _fill(self, filling: Filling, z: Any, v: Any) -> Any:
+        """v with its gaps filled in; a sensor whose gain is at fault is predicted with the gain that is estimated."""
+        o, m = self.observer, self.observer.inputs
+        filled = times(filling.from_z, z) + times(filling.from_v, v)
+        if not (o.scales and filling.predicted) or o.readout is not None:
+            return filled
+        gain = times(o.split[1], times(o.Cf, z) + times(o.Df, filled))
+        for row in filling.predicted:
+            filled[row] = filled[row] + gain[row - m] * (filled[row] + o.y0[row - m])
+        return filled
+
     def _settled(self, z: Any, v1: Any, moves: Sequence[tuple[Move, int]]) -> Any:
         """z after the implicit injections.
 
         A missing channel reads what the observer predicts before they act, so its innovation is zero.
         """
-        return settled(self.observer.injections, moves, z, _fill(self.after, z, v1)) if moves else z
+        return settled(self.observer.injections, moves, z, self._fill(self.after, z, v1)) if moves else z
 
     def _slope(self, z: Any, v: Any, t: Any) -> Any:
         """The right-hand side: ż, or z at the next sample."""
@@ -331,10 +343,6 @@ def call(function: Any, arguments: Sequence[Array], size: int) -> Array:
         buffer.set_res(0, out.data)
     evaluate()
     return out
-
-
-def _fill(filling: Filling, z: Any, v: Any) -> Any:
-    return times(filling.from_z, z) + times(filling.from_v, v)
 
 
 def _with_the_end_of(new: Any, old: Any, count: int) -> Any:

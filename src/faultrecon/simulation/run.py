@@ -39,7 +39,8 @@ class Score(Mapping[str, FaultScore]):
     achieved: sqrt(∫|f - f̂|² / (∫|w|² + V(e(0))/γ²)) over the run, in declared sizes, sensor noise counted in w; None
     when nothing disturbs, or when noise acts that is no declared disturbance.  level: the certified γ, or None.
     outside: why the certificate does not cover this run, empty when it does (up to sampling, which no certificate
-    covers).  undeclared: the sensors whose noise acts and is none of the disturbances.
+    covers).  undeclared: the sensors whose noise acts and is none of the disturbances.  level_of: "deviation" where the
+    level bounds a standard deviation under white noise, with which no single run can be compared.
     """
 
     faults: Mapping[str, FaultScore]
@@ -47,6 +48,7 @@ class Score(Mapping[str, FaultScore]):
     level: float | None
     outside: tuple[str, ...] = ()
     undeclared: tuple[str, ...] = ()
+    level_of: str = "gain"
 
     def __getitem__(self, name: str) -> FaultScore:
         if name not in self.faults:
@@ -76,6 +78,9 @@ class Score(Mapping[str, FaultScore]):
             rest = " ".join(f"{_number(v, '.4g'):>10}" for v in (s.peak, s.delay, s.leak))
             lines.append(f"{name:{width}} {_number(s.nrmse, '.4f'):>9} {rest}")
         level = "none" if self.level is None else f"{self.level:.6g}"
+        if self.level_of == "deviation":
+            lines.append(f"certified: error deviation up to {level} under white noise of the declared sizes")
+            return "\n".join([*lines, *(f"  not covered by the certificate: {reason}" for reason in self.outside)])
         lines.append(f"gain from disturbances to error: {self._gain()}; certified {level}")
         lines += [f"  not covered by the certificate: {reason}" for reason in self.outside]
         return "\n".join(lines)
@@ -151,7 +156,13 @@ class Run:
         """nrmse, peak, delay and leak per fault, and the gain reached against the certified level."""
         names = tuple(f.name for f in self.design.plant.faults)
         found = scores(self.t, self.f, self.f_hat, names)
+        if self._level_of == "deviation":
+            return Score(found, None, self.design.level, self._outside, level_of="deviation")
         return Score(found, self._achieved, self.design.level, self._outside, self._counted_noise[1])
+
+    @property
+    def _level_of(self) -> str:
+        return self._method.level_of
 
     @property
     def _method(self) -> Method:
@@ -202,7 +213,7 @@ class Run:
         if design.certificate is None:
             return ("there is none",)
         found = []
-        if self._counted_noise[1]:
+        if self._counted_noise[1] and self._level_of == "gain":
             found.append(undeclared_noise(self._counted_noise[1]))
         if truth.plant.with_faults([f.name for f in design.plant.faults]).digest() != design.plant.digest():
             found.append("the plant that was simulated is not the plant of the design")
@@ -218,7 +229,22 @@ class Run:
             if d.name not in names_counted and truth.w[:, j].any():
                 found.append(f"{d.name} acts, which is no disturbance that the level counts")
         found += [f"the plant leaves the declared domain of {name}" for name in truth.left_domain()]
-        return tuple(found)
+        return tuple(found) + self._left_box
+
+    @property
+    def _left_box(self) -> tuple[str, ...]:
+        """What leaves the box of a polytopic form, true or estimated: there its vertices say nothing."""
+        form = self.design.plant.polytopic
+        if form is None:
+            return ()
+        signals = self.design.plant.signals
+        names = [f.name for f in self.design.plant.faults]
+        value = dict(zip(signals.x, self.x.T, strict=True)) | dict(zip(signals.u, self.u.T, strict=True))
+        value |= dict(zip(names, self.f.T, strict=True))
+        guess = dict(zip(signals.x, self.x_hat.T, strict=True)) | dict(zip(names, self.f_hat.T, strict=True))
+        return tuple(
+            f"the {what} leaves the box of the polytopic form" for what in form.left(value=value, estimate=guess)
+        )
 
     def columns(self) -> dict[str, Array]:
         """Like a log with its truth: t, inputs, measurements, true_f_<fault>, f_<fault>, <sensor>_corrected and _ok."""

@@ -49,8 +49,8 @@ class Posed:
         """The theorem's inequalities, and Re λ > -ρ for the error dynamics with the same P when a bound is set."""
         found = list(self.theorem.inequalities)
         if self.pole_bound is not None:
-            X = self.theorem.drift
-            found.append(Inequality(X + X.T + 2 * self.pole_bound * self.theorem.lyapunov, ">", 0, "pole bound"))
+            for X in self.theorem.drifts or [self.theorem.drift]:
+                found.append(Inequality(X + X.T + 2 * self.pole_bound * self.theorem.lyapunov, ">", 0, "pole bound"))
         return found
 
     def problem(self) -> Problem:

@@ -67,13 +67,20 @@ def fault_noise(plant: Plant, observer: Observer) -> dict[str, float] | None:
         return None
     m = observer.inputs
     variances = np.square(plant.noise.sd)
+    B, term = observer.B[:, m:], observer.nonlinear
+    if term is not None and term.direct is not None:  # y may enter through the nonlinear part: to first order, at rest
+        slope = term.phi.jacobian("x")(term.offset, observer.u0, [0.0])
+        B = B + term.into @ slope @ term.direct[:, m:]
     if observer.sample_time is None:
-        covariance = held_noise_covariance(observer.A, observer.B[:, m:], variances, plant.noise.hold)
+        covariance = held_noise_covariance(observer.A, B, variances, plant.noise.hold)
     else:
-        covariance = discrete_covariance(observer.A, (observer.B[:, m:] * variances) @ observer.B[:, m:].T)
+        covariance = discrete_covariance(observer.A, (B * variances) @ B.T)
     # A sample is in y before it has moved the state, so at a sample instant the two parts are uncorrelated.
-    direct = observer.Df[:, m:] * np.sqrt(variances)
-    total = observer.Cf @ covariance @ observer.Cf.T + direct @ direct.T
+    Cf, direct = observer.Cf, observer.Df[:, m:] * np.sqrt(variances)
+    if observer.readout is not None:
+        slope = observer.readout.jacobian("f")(np.zeros(len(Cf)), observer.x0)
+        Cf, direct = slope @ Cf, slope @ direct
+    total = Cf @ covariance @ Cf.T + direct @ direct.T
     return {f.name: float(np.sqrt(max(v, 0.0))) for f, v in zip(plant.faults, np.diag(total), strict=True)}
 
 

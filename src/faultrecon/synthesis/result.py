@@ -108,7 +108,8 @@ class Design:
             units = dict(zip(self.plant.signals.y.names, self.plant.signals.y.units, strict=True))
             for fault in self.plant.faults:
                 sensor, coefficient = next(iter(fault.on.items()))
-                unit = f" {units[sensor]}" if coefficient == 1.0 and units.get(sensor) else ""
+                plain = coefficient == 1.0 and fault.effect == "additive"  # one that multiplies has no unit
+                unit = f" {units[sensor]}" if plain and units.get(sensor) else ""
                 lines.append(
                     f"  noise in {fault.name}: {d.noise_sd[fault.name]:.4g}{unit} (standard deviation, linear part)"
                 )
