@@ -109,10 +109,10 @@ def gramian_factor(B: Array, W: Array) -> Array:
     Doubled and compressed by QR without ever forming R'R: directions that W sees by less than √ε keep their digits.
     """
     k = B.shape[0]
-    R = np.linalg.qr(np.vstack([W, np.zeros((k, k))]), mode="r")
+    R: Array = np.asarray(np.linalg.qr(np.vstack([W, np.zeros((k, k))]), mode="r"))
     for _ in range(64):  # 2^64 steps: farther than a rate of rounding size reaches
         more = R @ B
-        R = np.linalg.qr(np.vstack([R, more]), mode="r")
+        R = np.asarray(np.linalg.qr(np.vstack([R, more]), mode="r"))
         if spectral_norm(more) <= np.finfo(float).tiny + np.finfo(float).eps ** 2 * spectral_norm(R):
             break
         B = B @ B
