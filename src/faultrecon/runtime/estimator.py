@@ -235,17 +235,19 @@ class Estimator:
         y: ArrayLike,
         *,
         x: ArrayLike | None = None,
+        state: State | None = None,
         progress: Callable[[float], None] | None = None,
     ) -> Trace:
         """A whole log: t (N,), u (N, m), y (N, p), absolute; the same as `step`, sample by sample.
 
-        x: as in `init`.  progress is told now and then which part of the work is done, 0 to 1.  The bits are those of
+        x: as in `init`.  state: where an earlier part of the log ended, `Trace.end`, in place of x; a log replayed in
+        parts gives the rows of the whole.  progress is told now and then which part of the work is done, 0 to 1.  The bits are those of
         `step`, if the engines' sin, cos, ... are: they run the same instructions, each with a library of its own.
         """
         o, tell = self.observer, progress or _silent
         t, u, y = checked_log(t, u, y, len(o.u0), len(o.y0))
         rows = len(t)
-        row = self.init(x=x)._row
+        row = self.init(x=x)._row if state is None else self._after(state, t)
         self._chosen.prepare(self._general, rows)
         fault, state = columns(rows, o.F.shape[1]), columns(rows, len(o.x0))
         corrected, ok = columns(rows, len(o.y0)), columns(rows, len(o.y0), bool)
@@ -258,7 +260,7 @@ class Estimator:
                     k = reached
                     tell(k / rows)
                     continue
-            if k == 0 and many is not None:  # the first sample is never plain
+            if k == 0 and many is not None:  # the first sample is seldom plain
                 here = slice(0, 1)
             else:  # nor are this one and those up to the next plain one
                 plain = self._plain_rows(t, u, y) if plain is None else plain
@@ -268,6 +270,17 @@ class Estimator:
             k = here.stop
         tell(1.0)
         return Trace(t.copy(), fault, state, corrected, ok, State(row, self._layout))
+
+    def _after(self, state: State, t: Array) -> Array:
+        """A copy of the row that an earlier part of a log ended with."""
+        if len(state._row) != self._width:
+            raise InputError("the state belongs to another estimator")
+        if state.samples and len(t) and not t[0] > state.t:
+            raise InputError(
+                f"the log goes on at {t[0]:g} s, and the part before it ended at {state.t:g} s",
+                why="time must increase from sample to sample",
+            )
+        return state._row.copy()
 
     def _plain_rows(self, t: Array, u: Array, y: Array) -> NDArray[np.intp]:
         """The rows that the compiled kernel is to take, if there is one, and N at their end."""
