@@ -21,7 +21,7 @@ _DOOR = {
     "read_log": "faultrecon.io.logs",
     "write_log": "faultrecon.io.logs",
     "diagnose": "faultrecon.diagnosis.diagnosis",
-    "design": "faultrecon.synthesis.pipeline",
+    "design": "faultrecon.advise.designing",
     "optimum": "faultrecon.synthesis.pipeline",
     "list_methods": "faultrecon.methods.registry",
     "cite": "faultrecon.methods.registry",
@@ -114,6 +114,7 @@ __all__ = [
 
 if TYPE_CHECKING:
     from faultrecon.advise.comparison import compare
+    from faultrecon.advise.designing import design
     from faultrecon.advise.recommendation import best, recommend
     from faultrecon.advise.reproductions import reproduce
     from faultrecon.advise.why_not import why_not
@@ -136,7 +137,7 @@ if TYPE_CHECKING:
     from faultrecon.simulation.run import Run, simulate
     from faultrecon.simulation.scenario import Scenario
     from faultrecon.simulation.study import study
-    from faultrecon.synthesis.pipeline import design, optimum
+    from faultrecon.synthesis.pipeline import optimum
     from faultrecon.synthesis.result import Design
 
 

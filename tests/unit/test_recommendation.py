@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Which methods apply, which one is picked, and how the command line says why there is no design."""
 
+import inspect
 import json
 import re
 from dataclasses import replace
@@ -12,6 +13,7 @@ from faultrecon.advise.recommendation import EQUAL, error_of
 from faultrecon.advise.trials import trial_plants
 from faultrecon.advise.why_not import why_failed
 from faultrecon.methods.registry import method
+from faultrecon.synthesis import pipeline
 
 SPRING, PENDULUM, *_ = trial_plants()
 
@@ -48,6 +50,38 @@ def test_the_best_has_a_certificate_and_no_other_that_has_one_is_clearly_better_
     assert made.method == found.method
     assert made.verification is not None
     assert made.verification.sound
+
+
+def test_designing_with_the_best_is_designing_with_the_one_that_best_picks_and_says_so():
+    picked, stages = fr.best(SPRING), []
+    made = fr.design(SPRING, "best", backoff=0.2, progress=stages.append)
+    assert stages[0] == "comparing methods"
+    assert made.method == picked.method
+    # The options are those of the design that ships: the level is (1 + backoff) times the optimum at least.
+    least = picked.design().details.bounded_optimum
+    assert made.level is not None and least is not None
+    assert made.level >= 1.2 * least * (1 - 1e-6)
+    assert made.method in made.details.notes[0] and picked.rule in made.details.notes[0]
+    assert all(name in made.details.notes[0] for name in fr.recommend(SPRING).applicable)
+
+
+def test_the_best_is_asked_for_the_faults_that_are_to_be_reconstructed():
+    plant = fr.library("lipschitz_polynomial")
+    name = plant.faults[0].name
+    assert [f.name for f in fr.design(plant, "best", faults=[name]).plant.faults] == [name]
+
+
+@pytest.mark.parametrize("options", [{}, {"level": 4.0, "pole_bound": None}, {"backoff": 0.3, "pole_bound": 50.0}])
+def test_the_public_design_by_name_is_that_of_the_pipeline(options):
+    plant = fr.library("lipschitz_polynomial")
+    ours, theirs = fr.design(plant, **options), pipeline.design(plant, **options)
+    assert (ours.level, ours.optimum, ours.floor) == (theirs.level, theirs.optimum, theirs.floor)
+    assert all((ours.gains[k] == theirs.gains[k]).all() for k in theirs.gains)
+
+
+def test_the_public_design_takes_the_same_options_as_the_pipeline():
+    ours, theirs = (inspect.signature(f).parameters for f in (fr.design, pipeline.design))
+    assert {k: (p.default, p.kind) for k, p in ours.items()} == {k: (p.default, p.kind) for k, p in theirs.items()}
 
 
 def test_where_nothing_applies_there_is_no_best_and_the_message_says_where_to_look():

@@ -88,6 +88,7 @@ def detectable(plant: Plant) -> Condition:
     return Condition(name, see, True, margin, where)
 
 
+@lru_cache(maxsize=64)
 def decouplable(plant: Plant) -> Condition:
     """rank(C E_d) = rank(E_d): the first derivative of the measurements shows what is to be decoupled.
 
@@ -105,6 +106,7 @@ def decouplable(plant: Plant) -> Condition:
     return Condition(name, see, rank == needed, smallest, None, rank, needed)
 
 
+@lru_cache(maxsize=64)
 def survives(plant: Plant) -> Condition:
     """rank [E_d, E_f] = d + q: no actuator fault enters the states exactly as what is decoupled does (J E != 0)."""
     faulty = plant.E_f[:, _actuator(plant)]
@@ -113,6 +115,7 @@ def survives(plant: Plant) -> Condition:
     return Condition("rank(J E_f) = q", "Jia 2015, section 2.2", rank == M.shape[1], smallest, None, rank, M.shape[1])
 
 
+@lru_cache(maxsize=64)
 def minimum_phase(plant: Plant) -> Condition:
     """(A, E_d, C, F_d) has no invariant zero that does not decay, apart from the origin.
 
@@ -134,7 +137,7 @@ def minimum_phase(plant: Plant) -> Condition:
     n, d = plant.n, E.shape[1]
     if bad.size:
         s = complex(bad[int(np.argmax(bad.real))])
-        rank, _, v = pencil_rank(plant.A, E, plant.C, F, s)
+        rank, v = pencil_rank(plant.A, E, plant.C, F, s)[0], pencil_direction(plant.A, E, plant.C, F, s)
         return Condition(name, see, False, 0.0, s, min(rank, n + d - 1), n + d, living_in(plant, v[:n]))
     inside = zeros[growth < -1e-8]
     near = -float(np.max(growth[growth < -1e-8], initial=-np.inf))
@@ -142,6 +145,7 @@ def minimum_phase(plant: Plant) -> Condition:
     return Condition(name, see, True, min(near, 1.0), where, n + d, n + d)
 
 
+@lru_cache(maxsize=64)
 def constant_fault(plant: Plant) -> Condition:
     """rank [A, E_d, E_f, 0; C, F_d, 0, F_f] = n + d + q (A - I when sampled): a constant fault shows at rest.
 
@@ -150,10 +154,10 @@ def constant_fault(plant: Plant) -> Condition:
     """
     A, E, C, F = _unknown_inputs(plant)
     needed = plant.n + E.shape[1]
-    rank, smallest, v = pencil_rank(A, E, C, F, _still(plant))
+    rank, smallest = pencil_rank(A, E, C, F, _still(plant))
     names = {0.0: "[A, E; C, F] of full column rank (s = 0)", 1.0: "[A - I, E; C, F] of full column rank (z = 1)"}
     see = "Jia 2015, section 2.3; Huang 2024, section 3, corrected; Alwi 2009, Lemma 2"
-    states = () if rank == needed else living_in(plant, v[: plant.n])
+    states = () if rank == needed else living_in(plant, pencil_direction(A, E, C, F, _still(plant))[: plant.n])
     where = complex(_still(plant))
     return Condition(names[_still(plant)], see, rank == needed, smallest, where, rank, needed, states)
 
@@ -164,22 +168,35 @@ def constant_fault_matrix(plant: Plant) -> Array:
     return np.block([[A - _still(plant) * np.eye(plant.n), E], [C, F]])
 
 
-def pencil_rank(A: Array, E: Array, C: Array, F: Array, s: complex) -> tuple[int, float, Array]:
-    """Rank of [A - sI, E; C, F] in balanced units, its smallest singular value over the largest, and the direction."""
+def pencil_rank(A: Array, E: Array, C: Array, F: Array, s: complex) -> tuple[int, float]:
+    """Rank of [A - sI, E; C, F] in balanced units, and its smallest singular value over the largest."""
+    M, _ = _pencil(A, E, C, F, s)
+    sigma = np.linalg.svd(M, compute_uv=False)
+    rank = int(np.count_nonzero(sigma > RANK_TOLERANCE * max(sigma.max(initial=0.0), 1e-300)))
+    full = sigma.size == rank == M.shape[1]
+    return rank, float(sigma[-1] / sigma[0]) if full else 0.0
+
+
+def pencil_direction(A: Array, E: Array, C: Array, F: Array, s: complex) -> Array:
+    """States and inputs (n + m,), in the units as given, that [A - sI, E; C, F] all but sends to zero."""
+    M, unit = _pencil(A, E, C, F, s)
+    return np.linalg.svd(M)[2][-1].conj() * unit
+
+
+def _pencil(A: Array, E: Array, C: Array, F: Array, s: complex) -> tuple[Array, Array]:
+    """[A - sI, E; C, F] in balanced units, rows and columns of comparable size, and the unit of each column."""
     e = state_scaling(A, E, C)
     a, b, c = scale_states(A, E, C, e)
     n = A.shape[0]
-    top = np.hstack([a - s * np.eye(n), b]) / max(spectral_norm(a - s * np.eye(n)), 1e-300)
+    shifted = a - s * np.eye(n)
+    top = np.hstack([shifted, b]) / max(spectral_norm(shifted), 1e-300)
     M = np.vstack([top, np.hstack([c, F]) / max(spectral_norm(c), 1e-300)])
     length = np.linalg.norm(M, axis=0)
+    length = np.where(length > 0, length, 1.0)
     length[:n] = 1.0
-    M = M / np.where(length > 0, length, 1.0)
-    _, sigma, Vh = np.linalg.svd(M)
-    rank = int(np.count_nonzero(sigma > RANK_TOLERANCE * max(sigma.max(initial=0.0), 1e-300)))
-    full = sigma.size == M.shape[1]
-    v = Vh[-1].conj() / np.where(length > 0, length, 1.0)
-    v[:n] *= np.ldexp(1.0, e)
-    return rank, float(sigma[-1] / sigma[0]) if full and rank == M.shape[1] else 0.0, v
+    unit = 1.0 / length
+    unit[:n] = np.ldexp(1.0, e)
+    return M / length, unit
 
 
 def living_in(plant: Plant, direction: Array) -> tuple[str, ...]:

@@ -10,10 +10,8 @@ import numpy as np
 from faultrecon.diagnosis import conditions
 from faultrecon.diagnosis.conditions import Condition
 from faultrecon.diagnosis.limits import Floor
-from faultrecon.diagnosis.model import Matrices, healthy, slow_modes, unseen
+from faultrecon.diagnosis.model import certain_distance, healthy, sensor_rank, unseen
 from faultrecon.finding import Finding
-from faultrecon.numerics.annihilator import column_rank
-from faultrecon.numerics.decay import distance_at_least
 from faultrecon.numerics.pencil import Mode
 from faultrecon.plant.plant import Plant
 
@@ -32,10 +30,10 @@ def fault_findings(plant: Plant) -> list[Finding]:
             )
         ]
     sensor = [f for f in plant.faults if f.site == "sensor"]
-    F = plant.F_f[:, [f.site == "sensor" for f in plant.faults]]
-    rank = column_rank(F)
+    rank = sensor_rank(plant)
     if rank == len(sensor):
         return []
+    F = plant.F_f[:, [f.site == "sensor" for f in plant.faults]]
     weights = np.abs(np.linalg.svd(F / np.linalg.norm(F, axis=0))[2][-1])
     names = [f.name for f, weight in zip(sensor, weights, strict=True) if weight > 1e-6]
     return [
@@ -124,7 +122,7 @@ def detectability_findings(plant: Plant) -> list[Finding]:
     if modes:
         return [_undetectable(plant, mode, N.shape[0]) for mode in modes if mode.value.imag >= 0]
     # A certain bound first: it leaves the search over all s to the few models that are anywhere near.
-    if N.shape[0] == 0 or distance_at_least(slow_modes(Matrices.of(plant)), N) > 10 * HAIR:
+    if N.shape[0] == 0 or certain_distance(plant) > 10 * HAIR:
         return []
     margin = conditions.detectable(plant).distance
     if margin < HAIR:

@@ -13,8 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from faultrecon.diagnosis.conditions import fault_columns
-from faultrecon.diagnosis.model import Matrices, bilinear, healthy, noisy_outputs, slow_modes, unseen
-from faultrecon.numerics.annihilator import column_rank
+from faultrecon.diagnosis.model import Matrices, bilinear, healthy, noisy_outputs, sensor_rank, slow_modes, unseen
 from faultrecon.numerics.hinf import Peak, estimator_floor, imitated
 from faultrecon.numerics.interpolation import floor_of_slow_part
 from faultrecon.plant.plant import Plant
@@ -90,7 +89,7 @@ def _has_floor(plant: Plant) -> bool:
     """Independent additive sensor faults, and no others."""
     if not plant.faults or any(f.site == "actuator" or f.effect == "multiplicative" for f in plant.faults):
         return False
-    return column_rank(plant.F_f) == len(plant.faults)
+    return sensor_rank(plant) == len(plant.faults)
 
 
 def hidden_floor(plant: Plant) -> Floor | None:
@@ -179,4 +178,6 @@ def _level(peak: Peak | None, sample_time: float | None) -> Floor | None:
 def _split(plant: Plant) -> tuple[Array, Array]:
     """N: the outputs that no fault reaches; V F⁺: what reads the faults, in their declared sizes, from the others."""
     size, length = np.array([f.size for f in plant.faults]), np.linalg.norm(plant.F_f, axis=0)
-    return healthy(plant), np.linalg.pinv(plant.F_f / length) / (length * size)[:, None]
+    F = plant.F_f / length
+    inverse = F.T if len(size) == 1 else np.linalg.pinv(F)
+    return healthy(plant), inverse / (length * size)[:, None]

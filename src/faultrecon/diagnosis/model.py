@@ -14,12 +14,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from faultrecon.numerics.annihilator import annihilator
+from faultrecon.numerics.annihilator import annihilator, column_rank
+from faultrecon.numerics.decay import distance_at_least
 from faultrecon.numerics.pencil import Mode, SlowModes
 from faultrecon.numerics.shared_floor import NoisyOutputs
 from faultrecon.plant.plant import Plant
 
 Array = NDArray[Any]
+
+ROUNDING = 1e-9
+"""A hundred times the tolerance below which a mode counts as unseen."""
 
 
 @dataclass(frozen=True)
@@ -87,8 +91,27 @@ def healthy(plant: Plant) -> Array:
 
 
 @lru_cache(maxsize=64)
+def sensor_rank(plant: Plant) -> int:
+    """How many sensor faults can be told apart by the directions in which they move the measurements."""
+    F = plant.F_f[:, [f.site == "sensor" for f in plant.faults]]
+    return int(F.any()) if F.shape[1] == 1 else column_rank(F)
+
+
+@lru_cache(maxsize=64)
+def certain_distance(plant: Plant) -> float:
+    """How far the healthy outputs certainly are from missing a mode that does not decay, relative to the model.
+
+    Found without a search over s; 0 where this way finds nothing, or less than rounding could bring about.
+    """
+    found = distance_at_least(slow_modes(Matrices.of(plant)), healthy(plant))
+    return found if found > ROUNDING else 0.0
+
+
+@lru_cache(maxsize=64)
 def unseen(plant: Plant) -> tuple[Mode, ...]:
     """The modes that do not decay and that no healthy output sees."""
+    if certain_distance(plant) > 0:
+        return ()
     return tuple(slow_modes(Matrices.of(plant)).undetectable(healthy(plant)))
 
 

@@ -31,9 +31,9 @@ def annihilator(F: ArrayLike) -> Array:
     F = np.asarray(F, dtype=float)
     F = F[:, np.any(F != 0, axis=0)]  # a fault that reaches no output costs none
     p, q = F.shape
-    touched = np.flatnonzero(np.any(F != 0, axis=1))
-    healthy = np.setdiff1d(np.arange(p), touched)
-    pick = np.eye(p)[healthy]
+    reached = np.any(F != 0, axis=1)
+    touched = np.flatnonzero(reached)
+    pick = np.eye(p)[~reached]
     if len(touched) == q:
         return pick
     inner = _rational_null(F[touched])

@@ -16,22 +16,71 @@ from faultrecon.numerics.scaling import spectral_norm
 Array = NDArray[Any]
 
 
+ENOUGH = 1e-4
+"""A lower bound of a relative distance beyond which a larger one would change nobody's mind."""
+
+
 def distance_at_least(slow: SlowModes, N: Array | None = None) -> float:
     """A certain lower bound of `detectability_margin` for the outputs N C, 0 where this way finds none.
 
     With any L for which M = A - L C decays, M' P + P M = -I and x of unit length, |(sI - M) x| >= 1/(2 |P|) at every s
-    in the region; and (sI - M) x is (sI - A) x and C x added up with weights 1 and L.  A, C at norm one.  L comes from
-    the Riccati equation of the slow modes alone, so that the Schur form of A serves for M; no search over s.
+    in the region; and (sI - M) x is (sI - A) x and C x added up with weights 1 and L.  A, C at norm one.  L moves the
+    slow modes alone, so that the Schur form of A serves for M: all of them to one place where the outputs see that many
+    directions well, else by the Riccati equation; no search over s.
     """
-    from scipy.linalg import schur
-
     if slow.L.shape[0] == 0:
         return _without_outputs(slow)
     outputs = slow.C if N is None else N @ slow.C
-    k = slow.L.shape[0]
     # Frobenius norms are the larger ones, so the distance in their units is the smaller one.
     a, c = (max(float(np.linalg.norm(M)), 1e-300) for M in (slow.A, outputs))
-    T, C = slow.T / a, outputs @ slow.Z / c
+    C = outputs @ slow.Z / c
+    placed = _placed(slow, a, C)
+    return placed if placed >= ENOUGH else max(placed, _riccati(slow, a, C))
+
+
+def _placed(slow: SlowModes, a: float, C: Array) -> float:
+    """The bound with every slow mode at one s < 0, or at z = 0, in units in which |A| = 1; 0 where C hardly sees one.
+
+    M = [s X; 0 T] in the Schur basis and P = [-1/(2s) Y; Y' R] with Y (T + s) = X/(2s), T'R + R T = -(I + X'Y + Y'X).
+    That R is at most 1 + 2 |X| |Y| times the R of -I, which serves all choices of outputs.  Sampled, in units of the
+    circle: P = [I 0; 0 R] and T'R T - R = -(I + X'X).
+    """
+    k = slow.L.shape[0]
+    if C.shape[0] < k:
+        return 0.0
+    U, sigma, Vh = np.linalg.svd(C[:, :k], full_matrices=False)
+    if sigma[-1] < ENOUGH:  # |L| is about 1/sigma, and the bound no more than 1/(2 |L|)
+        return 0.0
+    settling, s, back = _fast_part(slow)
+    if not np.isfinite(settling):
+        return 0.0
+    L = ((slow.L / a - s * np.eye(k)) @ Vh.T / sigma) @ U.T
+    X = slow.T[:k, k:] / a - L @ C[:, k:]
+    x = float(np.linalg.norm(X))
+    if slow.sampled:
+        P = max(a, (1.0 + (a * x) ** 2) * settling)
+    else:
+        y = float(np.linalg.norm(X @ back)) / (2.0 * -s)
+        P = float(np.sqrt(0.25 * k / s**2 + 2.0 * y**2 + ((1.0 + 2.0 * x * y) * settling) ** 2))
+    return 1.0 / (2.0 * P * float(np.hypot(1.0, np.linalg.norm(L))))
+
+
+@lru_cache(maxsize=8)
+def _fast_part(slow: SlowModes) -> tuple[float, float, Array]:
+    """What `_settling` says of the modes that decay, in units in which |A| = 1; the s at which it would say the same of
+    one mode, 0 when sampled; and (T + s)^-1 of their Schur form."""
+    k, a = slow.L.shape[0], max(float(np.linalg.norm(slow.A)), 1e-300)
+    T = slow.T[k:, k:] / a
+    settling = _settling(T, 1.0 / a if slow.sampled else None)
+    s = 0.0 if slow.sampled else -1.0 / max(2.0 * settling, 1.0)
+    return settling, s, np.zeros((0, 0)) if slow.sampled else np.linalg.inv(T + s * np.eye(len(T)))
+
+
+def _riccati(slow: SlowModes, a: float, C: Array) -> float:
+    """The bound with L from the Riccati equation of the slow modes, in units in which |A| = 1."""
+    from scipy.linalg import schur
+
+    T, k = slow.T / a, slow.L.shape[0]
     L = _injection(T[:k, :k], C[:, :k], slow.sampled)
     if L is None:
         return 0.0

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from faultrecon.numerics.pencil import RANK_TOLERANCE, slow_part, unobservable_modes, unobservable_subspace
+from faultrecon.numerics.pencil import RANK_TOLERANCE, eigendirections, slow_part, unobservable_subspace
 from faultrecon.numerics.scaling import scale_states, spectral_norm, state_scaling
 
 Array = NDArray[Any]
@@ -62,7 +62,8 @@ def floor_of_slow_part(
     if L.shape[0] == 0 or W.shape[0] == 0:
         return HiddenModes(0.0, ())
     slack = 64 * np.finfo(float).eps * n * max(size, np.finfo(float).tiny)
-    values = np.array([mode.value for mode in unobservable_modes(L, np.zeros((0, L.shape[0])))])
+    # Right-most first, as everywhere.
+    values = np.array(sorted((s for s, _ in eigendirections(L)), key=lambda s: (-s.real, -s.imag)))
     growth = np.abs(values) - 1.0 if sample_time is not None else np.real(values)
     axis = values[np.abs(growth) <= slack]
     rate = np.abs(axis) if sample_time is None else np.abs(axis - 1.0) / sample_time
@@ -113,7 +114,7 @@ def gramian_factor(B: Array, W: Array) -> Array:
     for _ in range(64):  # 2^64 steps: farther than a rate of rounding size reaches
         more = R @ B
         R = np.asarray(np.linalg.qr(np.vstack([R, more]), mode="r"))
-        if spectral_norm(more) <= np.finfo(float).tiny + np.finfo(float).eps ** 2 * spectral_norm(R):
+        if np.linalg.norm(more) <= np.finfo(float).tiny + np.finfo(float).eps ** 2 * np.linalg.norm(R):
             break
         B = B @ B
     return R

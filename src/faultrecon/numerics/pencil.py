@@ -54,13 +54,12 @@ def unobservable_modes(A: ArrayLike, C: ArrayLike, *, tol: float = RANK_TOLERANC
 
 def _modes_within(A: Array, C: Array, unit: Array, L: Array, V: Array, tol: float) -> list[Mode]:
     """The unobservable modes of balanced (A, C) within the invariant subspace V, A V = V L."""
-    N = unobservable_subspace(L, C @ V, tol, sizes=(spectral_norm(A), spectral_norm(C)))
-    modes = []
-    for value, y in _eigendirections(N.T @ L @ N):
-        v = unit * (V @ (N @ y))
-        distance = _smallest_singular(A, C, np.array([value]), _weights(A, C))[0]
-        modes.append(Mode(value, _normalised(v), float(distance)))
-    return sorted(modes, key=lambda mode: (-mode.value.real, -mode.value.imag))
+    weights = _weights(A, C)
+    N = unobservable_subspace(L, C @ V, tol, sizes=weights)
+    found = sorted(eigendirections(N.T @ L @ N), key=lambda pair: (-pair[0].real, -pair[0].imag))
+    # At a real s all is real, at half the price.
+    distances = [_smallest_singular(A, C, np.array([s if s.imag else s.real]), weights)[0] for s, _ in found]
+    return [Mode(s, _normalised(unit * (V @ (N @ y))), float(d)) for (s, y), d in zip(found, distances, strict=True)]
 
 
 def undetectable_modes(A: ArrayLike, C: ArrayLike, *, sampled: bool = False, tol: float = RANK_TOLERANCE) -> list[Mode]:
@@ -92,9 +91,8 @@ class SlowModes:
     @classmethod
     def of(cls, A: ArrayLike, C: ArrayLike, *, sampled: bool = False) -> SlowModes:
         """From A (n, n) and every output C (p, n) there may be."""
-        A, C, unit = _balanced(np.asarray(A, dtype=float), np.asarray(C, dtype=float))
-        T, Z, k = _slow_first(A, sampled=sampled)
-        return cls(A, C, unit, T, Z, T[:k, :k], Z[:, :k], sampled, spectral_norm(A))
+        A, C = np.asarray(A, dtype=float), np.asarray(C, dtype=float)
+        return _slow_modes(A.shape[0], A.tobytes(), C.shape[0], C.tobytes(), sampled)
 
     def undetectable(self, N: Array | None = None, *, tol: float = RANK_TOLERANCE) -> list[Mode]:
         """As `undetectable_modes`, for the outputs N C; N: (k, p), all of C by default."""
@@ -110,23 +108,32 @@ class SlowModes:
         return [mode for mode in modes if growth(mode.value) >= -slack]
 
 
+@lru_cache(maxsize=8)
+def _slow_modes(n: int, A_: bytes, p: int, C_: bytes, sampled: bool) -> SlowModes:
+    """By content: diagnosis and methods ask about one model in turn."""
+    A, C, unit = _balanced(np.frombuffer(A_).reshape(n, n), np.frombuffer(C_).reshape(p, n))
+    size = spectral_norm(A)
+    T, Z, k = _slow_first(A, size, sampled=sampled)
+    return SlowModes(A, C, unit, T, Z, T[:k, :k], Z[:, :k], sampled, size)
+
+
 def slow_part(A: Array, *, sampled: bool = False) -> tuple[Array, Array]:
     """L (k, k) and orthonormal V (n, k) with A V = V L: every mode that does not decay, and those that hardly do.
 
     A deflation over the whole space multiplies its rounding by one small singular value per step; fast modes cannot
     matter and are left out first.  The generous split keeps the scattered eigenvalues of a Jordan block together.
     """
-    T, Z, k = _slow_first(A, sampled=sampled)
+    T, Z, k = _slow_first(A, spectral_norm(A), sampled=sampled)
     return T[:k, :k], Z[:, :k]
 
 
-def _slow_first(A: Array, *, sampled: bool) -> tuple[Array, Array, int]:
-    """The real Schur form T, Z of A with the k modes of `slow_part` first."""
+def _slow_first(A: Array, size: float, *, sampled: bool) -> tuple[Array, Array, int]:
+    """The real Schur form T, Z of A with the k modes of `slow_part` first; size: |A|."""
     from scipy.linalg import LinAlgError, schur
 
     if A.shape[0] == 0:
         return A, A, 0
-    split = SCATTER * max(spectral_norm(A), 1e-300)
+    split = SCATTER * max(size, 1e-300)
 
     def slow(re: float, im: float = 0.0) -> bool:
         return (float(np.hypot(re, im)) - 1.0 if sampled else re) >= -split
@@ -223,17 +230,10 @@ def invariant_zeros(A: ArrayLike, B: ArrayLike, C: ArrayLike, D: ArrayLike, *, t
 
 def _balanced(A: Array, C: Array) -> tuple[Array, Array, Array]:
     """A and C in balanced units, and the unit 2**e of each state."""
-    e = _units(A.tobytes(), C.tobytes(), A.shape[0])
-    A, _, C = scale_states(A, np.zeros((A.shape[0], 0)), C, e)
+    none = np.zeros((A.shape[0], 0))
+    e = state_scaling(A, none, C)
+    A, _, C = scale_states(A, none, C, e)
     return A, C, np.ldexp(1.0, e)
-
-
-@lru_cache(maxsize=16)
-def _units(A: bytes, C: bytes, n: int) -> NDArray[np.int64]:
-    """The exponents of `state_scaling`, which cost more than a Schur form: several questions are asked of one model."""
-    return state_scaling(
-        np.frombuffer(A).reshape(n, n), np.zeros((n, 0)), np.frombuffer(C).reshape(-1, max(n, 1))[:, :n]
-    )
 
 
 def unobservable_subspace(A: Array, C: Array, tol: float, sizes: tuple[float, float] | None = None) -> Array:
@@ -260,7 +260,7 @@ def _kernel(M: Array, limit: float) -> Array:
     return Vh[int(np.count_nonzero(sigma > limit)) :].T
 
 
-def _eigendirections(A: Array) -> list[tuple[complex, Complex]]:
+def eigendirections(A: Array) -> list[tuple[complex, Complex]]:
     """Eigenvalues of A with independent eigenvectors; those closer than their own rounding error count as one."""
     if A.shape[0] == 0:
         return []
@@ -304,10 +304,10 @@ def _normalised(v: Complex) -> Complex:
     return v / (np.linalg.norm(v) * largest / abs(largest))
 
 
-def _smallest_singular(A: Array, C: Array, s: Complex, weights: tuple[float, float]) -> Array:
-    """sigma_min([(sI - A)/a; C/c]) for every s, with weights (a, c)."""
+def _smallest_singular(A: Array, C: Array, s: Array, weights: tuple[float, float]) -> Array:
+    """sigma_min([(sI - A)/a; C/c]) for every s, real or complex, with weights (a, c)."""
     n, (a, c) = A.shape[0], weights
-    stack = np.empty((s.size, n + C.shape[0], n), dtype=complex)
+    stack = np.empty((s.size, n + C.shape[0], n), dtype=s.dtype)
     stack[:, :n] = (s[:, None, None] * np.eye(n) - A) / a
     stack[:, n:] = C / c
     return np.linalg.svd(stack, compute_uv=False)[:, -1]

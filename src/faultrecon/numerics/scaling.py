@@ -9,6 +9,7 @@ size.  Powers of two lose no bits: the scaled model is the same model.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -44,11 +45,22 @@ def state_scaling(A: ArrayLike, B: ArrayLike, C: ArrayLike, ranges: ArrayLike | 
     A, B, C = (np.asarray(M, dtype=float) for M in (A, B, C))
     n = A.shape[0]
     fixed, declared = _declared(ranges, n)
+    # A column or row of zeros links nothing, so models that differ in them alone have the same units.
+    B, C = B[:, B.any(axis=0)], C[C.any(axis=1)]
+    return np.frombuffer(_fitted(n, *(M.tobytes() for M in (A, B, C, fixed, declared))), dtype=np.int64).copy()
+
+
+@lru_cache(maxsize=16)
+def _fitted(n: int, A_: bytes, B_: bytes, C_: bytes, fixed_: bytes, declared_: bytes) -> bytes:
+    """The exponents by content: they cost more than a Schur form, and many questions about one model ask for them."""
+    k = max(n, 1)
+    A, B, C = (np.frombuffer(M).reshape(shape) for M, shape in ((A_, (n, n)), (B_, (k, -1)), (C_, (-1, k))))
+    fixed, declared = np.frombuffer(fixed_, dtype=np.int64), np.frombuffer(declared_, dtype=np.bool_)
     gauge = _gauge(A, B, C, fixed, declared)
     fitted = np.zeros(n)
     fitted[~declared] = _balance(_links(*scale_states(A, B, C, gauge), free=~declared))
     exponents = gauge + np.rint(fitted).astype(np.int64)
-    return np.clip(exponents, -LARGEST_EXPONENT, LARGEST_EXPONENT)
+    return np.clip(exponents, -LARGEST_EXPONENT, LARGEST_EXPONENT).tobytes()
 
 
 def _declared(ranges: ArrayLike | None, n: int) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
@@ -72,23 +84,24 @@ def _gauge(A: Array, B: Array, C: Array, fixed: NDArray[np.int64], declared: NDA
     States are reached in an order that only the zero pattern decides: declared ones, then those with an input or an
     output, then neighbours; each takes the binary exponent of the first entry that links it.
     """
-    n = A.shape[0]
     e, known = fixed.copy(), declared.copy()
-    for i in np.flatnonzero(~known):
-        for row, sign in ((B[i], 1), (C[:, i], -1)):
-            entries = row[row != 0]
-            if entries.size and not known[i]:
-                e[i], known[i] = sign * np.frexp(entries[0])[1], True
+    for M, sign in ((B, 1), (C.T, -1)):
+        if M.shape[1]:
+            new = M.any(axis=1) & ~known
+            first = np.take_along_axis(M, np.argmax(M != 0, axis=1)[:, None], axis=1)[:, 0]
+            e[new], known = sign * np.frexp(first[new])[1], known | new
     linked = (A != 0) | (A.T != 0)
+    reached = linked[:, known].any(axis=1)
     while not known.all():
-        pairs = np.argwhere(linked & known[None, :] & ~known[:, None])
-        if pairs.size == 0:
-            known[np.flatnonzero(~known)[0]] = True  # a group linked to nothing outside: its first state sets the unit
-            continue
-        i, j = (int(k) for k in pairs[0])
-        entry, sign = (A[i, j], 1) if A[i, j] != 0 else (A[j, i], -1)
-        e[i], known[i] = e[j] + sign * np.frexp(entry)[1], True
-    assert e.shape == (n,)
+        i = int(np.argmax(reached & ~known))
+        if reached[i] and not known[i]:
+            j = int(np.argmax(linked[i] & known))
+            entry, sign = (A[i, j], 1) if A[i, j] != 0 else (A[j, i], -1)
+            e[i] = e[j] + sign * np.frexp(entry)[1]
+        else:
+            i = int(np.argmin(known))  # a group linked to nothing outside: its first state sets the unit
+        known[i] = True
+        reached |= linked[:, i]
     return e
 
 
@@ -145,11 +158,28 @@ def _balance(links: Links) -> Array:
     """Real exponents minimising sum_ij |entry| 2^(e_col - e_row) with a weak pull to the robust logarithmic fit."""
     if links.count == 0 or links.size.size == 0:
         return np.zeros(links.count)
-    fit = _logarithmic_fit(links)
-    return _minimise(links, fit, weight=1e-3 * float(np.mean(np.exp2(links.sizes(fit)))))
+    loose = _loose(links)
+    fit = _logarithmic_fit(links, loose)
+    return _minimise(links, loose, fit, weight=1e-3 * float(np.mean(np.exp2(links.sizes(fit)))))
 
 
-def _logarithmic_fit(links: Links) -> Array:
+def _loose(links: Links) -> Array:
+    """Orthonormal (count, k): the groups of states linked to nothing with a fixed unit, which no sum below tells apart
+    from the same group in other units."""
+    group = np.arange(links.count + 1)
+    while True:
+        least = np.minimum(group[links.from_], group[links.to])
+        before = group.copy()
+        np.minimum.at(group, links.from_, least)
+        np.minimum.at(group, links.to, least)
+        group = group[group]
+        if np.array_equal(group, before):
+            break
+    own = [group == k for k in np.unique(group) if k != group[-1]]
+    return np.array([mask[:-1] / np.sqrt(mask.sum()) for mask in own]).reshape(-1, links.count).T
+
+
+def _logarithmic_fit(links: Links, loose: Array) -> Array:
     """The exponents z that bring all log2 sizes near 0: quadratic for small ones, linear beyond 2**4.
 
     Sizes below 1 weigh a quarter: an entry of 1e-17 is rounding noise and may stay small, one of 1e17 may not stay.
@@ -158,47 +188,78 @@ def _logarithmic_fit(links: Links) -> Array:
     for _ in range(60):
         t = links.sizes(z)
         w = np.where(t > 0, 1.0, 0.25) / np.sqrt(1.0 + (t / 4.0) ** 2)
-        step = _smallest_solution(links.laplacian(w), -links.pull(w * t))
+        step = _smallest_solution(links.laplacian(w), -links.pull(w * t), loose)
         z = z + step
         if np.abs(step).max() <= 1e-2:  # a hundredth of an exponent is below the rounding to come
             break
     return z
 
 
-def _smallest_solution(M: Array, b: Array) -> Array:
-    """x with M x = b for M symmetric, positive semidefinite; the smallest one where M is singular.
+def _smallest_solution(M: Array, b: Array, loose: Array) -> Array:
+    """x with M x = b for M symmetric, positive semidefinite, zero on `loose`; the smallest one where M is singular.
 
     A group of states that is linked to nothing makes it singular; its exponents are then kept small.
     """
-    try:
-        pivots = np.diag(np.linalg.cholesky(M))
-        if pivots.min() > 1e-5 * pivots.max():
-            return np.linalg.solve(M, b)  # a tenth of the time
-    except np.linalg.LinAlgError:
-        pass
-    return np.linalg.lstsq(M, b, rcond=1e-12)[0]
+    from scipy.linalg import get_lapack_funcs
+
+    if loose.shape[1]:
+        M = M + M.diagonal().max() * loose @ loose.T
+    potrf, potrs = get_lapack_funcs(("potrf", "potrs"), (M, b))
+    factor, failed = potrf(M)
+    pivots = factor.diagonal()
+    if failed or pivots.min() <= 1e-5 * pivots.max():
+        return np.linalg.lstsq(M, b, rcond=1e-12)[0]  # ten times the time
+    x = potrs(factor, b)[0]
+    return x - loose @ (loose.T @ x) if loose.shape[1] else x
 
 
-def _minimise(links: Links, fit: Array, weight: float) -> Array:
-    """Damped Newton on the convex sum_k 2^size_k(z) + weight/2 |change(z - fit)|^2, a handful of steps in practice."""
+def _minimise(links: Links, loose: Array, fit: Array, weight: float) -> Array:
+    """Damped Newton on the convex sum_k 2^size_k(z) + weight/2 |change(z - fit)|^2, a handful of steps in practice.
+
+    Arrows between the same two ends add up, so both terms are quadratic in matrices of order count + 1.
+    """
+    n = links.count + 1
+    sizes = np.bincount(links.from_ * n + links.to, np.exp2(links.sizes(fit)), n * n).reshape(n, n)
     stiffness = links.laplacian(np.full(links.size.size, weight))
 
-    def cost(z: Array) -> float:
-        return float(np.exp2(links.sizes(z)).sum() + 0.5 * weight * np.sum(links.change(z - fit) ** 2))
+    def terms(y: Array) -> Array:
+        unit = np.exp2(np.append(y, 0.0))
+        return sizes * (unit / unit[:, None])
 
-    z, value = fit, cost(fit)
+    def cost(y: Array, now: Array) -> float:
+        return float(now.sum() + 0.5 * y @ stiffness @ y)
+
+    # z - fit, which stays small, from the best shift of all states that are linked to the outside.
+    y = np.ones(links.count) - loose @ loose.sum(axis=0)
+    y *= _shift(float(sizes[-1, :-1].sum()), float(sizes[:-1, -1].sum()), float(y @ stiffness @ y))
+    now = terms(y)
+    value = cost(y, now)
     for _ in range(100):
-        terms = np.exp2(links.sizes(z)) * np.log(2.0)
-        gradient = links.pull(terms) + stiffness @ (z - fit)
-        hessian = links.laplacian(np.log(2.0) * terms) + stiffness
-        step = -_smallest_solution(hessian, gradient)
+        gradient = (np.log(2.0) * (now.sum(axis=0) - now.sum(axis=1)))[:-1] + stiffness @ y
+        both = np.log(2.0) ** 2 * (now + now.T)
+        hessian = (np.diag(both.sum(axis=1)) - both)[:-1, :-1] + stiffness
+        step = -_smallest_solution(hessian, gradient, loose)
         step *= min(1.0, 8.0 / max(float(np.abs(step).max()), 1e-300))
-        while (trial := cost(z + step)) > value and np.abs(step).max() > 1e-6:
+        while (trial := cost(y + step, now := terms(y + step))) > value and np.abs(step).max() > 1e-6:
             step *= 0.5
         if trial >= value or np.abs(step).max() <= 1e-3:
             break
-        z, value = z + step, trial
-    return z
+        y, value = y + step, trial
+    return fit + y
+
+
+def _shift(outputs: float, inputs: float, stiffness: float) -> float:
+    """s that minimises outputs 2^s + inputs 2^-s + stiffness s^2/2, to a thousandth; 0 where nothing decides."""
+    low, high = -float(LARGEST_EXPONENT), float(LARGEST_EXPONENT)
+    if outputs + inputs + stiffness <= 0:
+        return 0.0
+    for _ in range(17):
+        s = 0.5 * (low + high)
+        if np.log(2.0) * (outputs * 2.0**s - inputs * 2.0**-s) + stiffness * s > 0:
+            high = s
+        else:
+            low = s
+    return 0.5 * (low + high)
 
 
 def spectral_norm(M: Any) -> float:

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -18,6 +19,7 @@ from numpy.typing import NDArray
 
 from faultrecon.numerics.decay import resolvent_bound
 from faultrecon.numerics.hinf import ON_AXIS, Peak, frequency_grid, on_axis, sensitivity, unexplained
+from faultrecon.numerics.partial_fractions import PartialFractions, partial_fractions
 from faultrecon.numerics.scaling import spectral_norm
 
 Array = NDArray[Any]
@@ -44,6 +46,12 @@ DOUBT = 0.1
 
 BLUNT = 1e-3
 """Relative distance from a peak within which its own flat top may pass for a crossing."""
+
+FEW = 3
+"""Single faults up to which partial fractions, which take all eigenvectors, are not worth it."""
+
+CLEAR = 1e-9
+"""Relative error of partial fractions up to which they serve: a quarter of the margin that a certificate leaves."""
 
 APART = 0.02
 """Grid points nearer than this, relatively, are one: a sharper peak is left to the certificate to find."""
@@ -102,7 +110,8 @@ class NoisyOutputs:
         inner = w[(w > 1e-12 * bound) & np.isfinite(w)]
         apart = np.diff(np.log(inner), prepend=-np.inf) > APART
         # At the resonances themselves, however sharp, the response must be within range.
-        w = np.unique(np.concatenate([[0.0], inner[apart], np.abs(np.imag(np.diag(T))), [np.inf]]))
+        resonances = np.imag(np.diag(T))
+        w = np.unique(np.concatenate([[0.0], inner[apart], resonances[resonances > 0], [np.inf]]))
         Y = bare.response(w)
         S = _inverse(Y)
         size2 = np.linalg.norm(Y, axis=(1, 2)) ** 2  # |Y Y*| at most
@@ -112,16 +121,20 @@ class NoisyOutputs:
 
     def response(self, w: Array) -> Complex:
         """Y at every frequency (k, p, m), by back substitution for all of them at once; w = inf gives E."""
-        n, (k, m) = self.T.shape[0], (w.size, self.B.shape[1])
+        # Most noise reaches no state: those columns of Y are E alone.
+        moves = np.flatnonzero(self.B.any(axis=0))
+        n, k, m, QB = self.T.shape[0], w.size, moves.size, self.QB[:, moves]
         finite = np.isfinite(w)
         s = 1j * np.where(finite, w, 0.0)
         X = np.empty((n, k * m), dtype=np.complex128)
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
             for i in reversed(range(n)):
-                row = (self.T[i, i + 1 :] @ X[i + 1 :]).reshape(k, m) + self.QB[i]
+                row = (self.T[i, i + 1 :] @ X[i + 1 :]).reshape(k, m) + QB[i]
                 X[i] = (row / (s - self.T[i, i])[:, None]).ravel()
-            Y = (self.CQ @ X).reshape(-1, k, m).transpose(1, 0, 2)
-        return np.where(finite[:, None, None], Y, 0.0) + self.E
+            moved = (self.CQ @ X).reshape(len(self.CQ), k, m).transpose(1, 0, 2)
+        Y = np.broadcast_to(self.E.astype(np.complex128), (k, *self.E.shape)).copy()
+        Y[:, :, moves] += np.where(finite[:, None, None], moved, 0.0)
+        return Y
 
     def floors(self, sets: Sequence[tuple[Array, Array]]) -> list[Peak | None]:
         """The floor of each set (N, K): N (p1, p) gives healthy outputs, K (q, p) reads the faults from the others.
@@ -131,12 +144,40 @@ class NoisyOutputs:
         """
         ours = [(N * self.size, K * self.size) for N, K in sets]
         directions = [_directions(N, K) for N, K in ours]
-        starts = self._starts(directions)
+        found = self._single(ours, directions)
+        rest = [j for j in range(len(sets)) if j not in found]
+        starts = self._starts([directions[j] for j in rest])
         Y = self.response(starts)
-        return [
-            self._climb(N, K, F, self._evaluated(N, K, starts[j : j + 1], Y[j : j + 1]))
-            for j, ((N, K), F) in enumerate(zip(ours, directions, strict=True))
-        ]
+        for k, j in enumerate(rest):
+            N, K = ours[j]
+            found[j] = self._climb(N, K, directions[j], self._evaluated(N, K, starts[k : k + 1], Y[k : k + 1]))
+        return [found[j] for j in range(len(sets))]
+
+    def _single(
+        self, sets: Sequence[tuple[Array, Array]], directions: Sequence[Array], rtol: float = 1e-9
+    ) -> dict[int, Peak | None]:
+        """The floors of those sets of one fault each for which partial fractions of F' S F settle it, by position."""
+        one = [j for j, F in enumerate(directions) if F.shape[1] == 1]
+        if len(one) <= FEW or self.fractions is None:
+            return {}
+        (poles, into, out), F = self.fractions, np.hstack([directions[j] for j in one])
+        information = PartialFractions(poles, (into @ F) * (F.T @ out).T, np.sum(F * (self.through @ F), axis=0))
+        known = np.sum((self.S @ F).real * F, axis=1)
+        found = information.values(self.w)
+        doubt = 8.0 * np.max(np.abs(found - known) / known, axis=0)
+        at = information.lowest(self.w, found)
+        Y = self.response(at)
+        N, K = (np.array([sets[j][k] for j in one]) for k in (0, 1))
+        value = unexplained(N @ Y, K @ Y, np.full(at.size, self.rounding))
+        clear = (value > 0) & (doubt <= CLEAR)
+        level = 1.0 / (np.where(clear, value, 1.0) * (1 + 2 * rtol)) ** 2
+        clear &= information.never_below(level, at, np.where(clear, doubt, 0.0))
+        return {j: Peak(float(value[k]), float(at[k])) for k, j in enumerate(one) if clear[k]}
+
+    @cached_property
+    def fractions(self) -> tuple[Complex, Complex, Complex] | None:
+        """S in partial fractions; None where H has no basis of eigenvectors."""
+        return partial_fractions(self.H, self.into, self.out, self.through)
 
     def _starts(self, directions: Sequence[Array]) -> Array:
         """A frequency for each set at which its gain is as good as maximal, all refined together."""
