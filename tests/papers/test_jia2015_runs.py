@@ -10,9 +10,13 @@ import pytest
 import faultrecon as fr
 from faultrecon.advise.papers._jia2015_robot import (
     OBSERVERS,
+    RANGES,
     WEIGHTS,
     PlainEuler,
+    PlainHeld,
+    at_sample_time,
     bound_at,
+    bound_in_domain,
     errors,
     estimator,
     library,
@@ -98,6 +102,7 @@ TABLES = (
     "Reference design",
     "How far the inequality reaches",
     "Error against the sample time",
+    "Bounds on that error that are proved on the declared domain",
     "RMSE of the fault on [6, 12], no noise",
     "RMSE of the fault on [6, 12] in noise",
     "Two faults at once",
@@ -134,6 +139,17 @@ def test_the_practical_bound_holds_and_is_not_far_from_the_truth(T):
     assert bound is not None and worst < bound.value < 3.1 * worst
     # The tabulated bounds grow looser with shorter T, where they were found less exactly; these are no larger.
     assert bound.value < 1.001 * SWEEP[T][1] and (T < 0.01 or bound.value == pytest.approx(SWEEP[T][1], rel=1e-3))
+
+
+@pytest.mark.parametrize("T", SWEEP)
+@pytest.mark.parametrize("kind", [PlainEuler, PlainHeld])
+def test_the_bound_that_is_proved_on_the_declared_domain_is_above_what_happens_there(kind, T):
+    run, bound = truth("const", 0.0, T, 0.0), bound_in_domain(kind, T, LONGEST)
+    assert np.all(np.abs(np.hstack([run[2], run[1]])).max(axis=0) <= RANGES)
+    worst = np.abs(errors(at_sample_time(kind, T, LONGEST)[1], run, start=8.0)[0]).max()
+    assert bound is not None and worst < bound
+    # Euler's model is bounded in a box that the two ends of a stiff spring never fill; the held model sharply.
+    assert bound < (70 if kind is PlainEuler else 15) * worst
 
 
 def test_what_is_decoupled_does_not_matter_and_what_is_not_does():

@@ -84,7 +84,7 @@ class Question:
         """The same question for another Lipschitz constant."""
         term = self.plant.nonlinearity
         assert term is not None
-        return replace(self, plant=replace(self.plant, nonlinearity=replace(term, constant=constant)))
+        return replace(self, plant=replace(self.plant, nonlinearity=term.at(constant)))
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from faultrecon.finding import did_you_mean
 from faultrecon.graph.function import Graph
 from faultrecon.io.document import Node
-from faultrecon.plant.lipschitz import Basis, KnownTerm, Lipschitz, used_names
+from faultrecon.plant.lipschitz import Basis, KnownTerm, Lipschitz, combined, used_names
 from faultrecon.plant.signals import NAME, Channels, Signals
 
 Interval = tuple[float, float]
@@ -29,14 +29,14 @@ def nonlinearity(node: Node, signals: Signals) -> Lipschitz:
     phi = _graph(entries, "phi", {"x": reads, "u": signals.u.names, "t": ("t",)}, signals.x.names)
     into = _columns(entries["into"], signals.x, len(formulas))
     domain = _domain(entries["domain"], phi) if "domain" in entries else {}
-    constant, basis = _constant(entries["lipschitz"], phi, domain)
+    constant, basis, channels = _constant(entries["lipschitz"], phi, domain)
     kept = {name: ends for name, ends in domain.items() if name in reads}
     if kept != domain and entries["lipschitz"].value != "derive":
         other = next(name for name in domain if name not in kept)
         place = entries["domain"].table()[other]
         place.refuse(f"'{other}' is no state", 'its interval only serves lipschitz = "derive"', "remove it")
     with node.here():
-        return Lipschitz(into, reads, phi, constant, basis, kept)
+        return Lipschitz(into, reads, phi, constant, basis, kept, channels)
 
 
 def known_term(node: Node, signals: Signals) -> KnownTerm:
@@ -129,17 +129,23 @@ def _domain(node: Node, phi: Graph) -> dict[str, Interval]:
     return domain
 
 
-def _constant(node: Node, phi: Graph, domain: Mapping[str, Interval]) -> tuple[float, Basis]:
-    """The constant and who says so: a number is assumed, 'derive' has it proved on the domain."""
+Constants = tuple[float, Basis, tuple[float, ...] | None]
+
+
+def _constant(node: Node, phi: Graph, domain: Mapping[str, Interval]) -> Constants:
+    """The constant, who says so, and those of the components: numbers are assumed, 'derive' has them proved."""
     if isinstance(node.value, str) and node.value != "derive":
         node.refuse(f"is '{node.value}'", "", 'give a number, or "derive" to have it proved on the domain')
+    if isinstance(node.value, list):
+        items = node.items()
+        if len(items) != phi.n_outputs:
+            node.refuse(f"has {len(items)} numbers for {phi.n_outputs} formulas", "", "give one number per formula")
+        channels = tuple(_not_negative(item) for item in items)
+        return combined(channels, phi), "assumed", channels
     if node.value != "derive":
-        value = node.number()
-        if value < 0:
-            node.refuse(f"is {value}", "", "a Lipschitz constant is not negative")
-        return value, "assumed"
+        return _not_negative(node), "assumed", None
     if not phi.inputs["x"]:
-        return 0.0, "proved"  # what reads no state cannot differ between two states
+        return 0.0, "proved", None  # what reads no state cannot differ between two states
     unbounded = [name for name in _arguments(phi) if not np.all(np.isfinite(domain.get(name, (-np.inf, np.inf))))]
     if unbounded:
         node.refuse(
@@ -151,20 +157,30 @@ def _constant(node: Node, phi: Graph, domain: Mapping[str, Interval]) -> tuple[f
     return _derived(node, phi, domain)
 
 
-def _derived(node: Node, phi: Graph, domain: Mapping[str, Interval]) -> tuple[float, Basis]:
-    """The bound proved by interval arithmetic.
+def _not_negative(node: Node) -> float:
+    value = node.number()
+    if value < 0:
+        node.refuse(f"is {value}", "", "a Lipschitz constant is not negative")
+    return value
+
+
+def _derived(node: Node, phi: Graph, domain: Mapping[str, Interval]) -> Constants:
+    """The bound proved by interval arithmetic, and those of several components each.
 
     The noun keeps the domain of the states alone.  A bound that leans on intervals of u or t holds under a condition
-    that is then not on record, so it is not passed on as proved.
+    that is then not on record, so it is not passed on as proved, nor are those of the components.
     """
-    from faultrecon.graph.enclose import lipschitz_bound
+    from faultrecon.graph.enclose import lipschitz_bound, lipschitz_per_channel
 
     # A group that φ does not look at may be anywhere: one point stands for all.
     others = {group: [domain.get(name, (0.0, 0.0)) for name in phi.inputs[group]] for group in ("u", "t")}
     with node.here():
-        bound = lipschitz_bound(phi, "x", [domain[name] for name in phi.inputs["x"]], others=others)
-    conditional = set(_arguments(phi)) > set(phi.inputs["x"])
-    return bound.value, "assumed" if conditional else "proved"
+        box = [domain[name] for name in phi.inputs["x"]]
+        bound = lipschitz_bound(phi, "x", box, others=others)
+        if set(_arguments(phi)) > set(phi.inputs["x"]):
+            return bound.value, "assumed", None
+        several = lipschitz_per_channel(phi, "x", box, others=others) if phi.n_outputs > 1 else ()
+    return bound.value, "proved", tuple(one.value for one in several) or None
 
 
 def _arguments(phi: Graph) -> tuple[str, ...]:

@@ -88,7 +88,7 @@ def _check_schema(root: Node) -> None:
 
 
 def _signals(node: Node) -> Signals:
-    entries = node.fields(("x", "y"), ("u", "range"))
+    entries = node.fields(("x", "y"), ("u", "range", "limits"))
     texts = {group: entries[group].items() if group in entries else [] for group in _GROUPS}
     names = {group: _names(items) for group, items in texts.items()}
     for group in ("x", "y"):
@@ -99,8 +99,10 @@ def _signals(node: Node) -> Signals:
             if name in names[group]:
                 texts["u"][index].refuse(f"'{name}' is both an input and a {_KINDS[group]}", "", "rename one of them")
     ranges = _ranges(entries["range"], names) if "range" in entries else {group: {} for group in _GROUPS}
+    limits = _limits(entries["limits"], names) if "limits" in entries else {}
+    mine = {g: {name: limits[name] for name in names[g] if name in limits and g != "x"} for g in _GROUPS}
     with node.here():
-        return Signals(*(Channels.declared([item.value for item in texts[g]], ranges[g]) for g in _GROUPS))
+        return Signals(*(Channels.declared([item.value for item in texts[g]], ranges[g], mine[g]) for g in _GROUPS))
 
 
 def _names(items: Sequence[Node]) -> list[str]:
@@ -133,6 +135,18 @@ def _ranges(node: Node, names: Mapping[str, Sequence[str]]) -> dict[str, dict[st
         for group in owners:
             ranges[group][key] = _positive(entry)
     return ranges
+
+
+def _limits(node: Node, names: Mapping[str, Sequence[str]]) -> dict[str, tuple[float, float]]:
+    """The lowest and highest value that an input or a sensor can take, by name."""
+    limits: dict[str, tuple[float, float]] = {}
+    for name, pair in node.by_name([*names["u"], *names["y"]], "input or sensor").items():
+        ends = [end.number(infinite=True) for end in pair.items()]
+        if len(ends) != 2 or not ends[0] < ends[1]:
+            pair.refuse(f"is {ends}", "", "give [low, high]; -inf or inf where there is none")
+        with pair.here():
+            limits[name] = Channels((name,), limits=((ends[0], ends[1]),)).limits[0]
+    return limits
 
 
 def _positive(node: Node) -> float:

@@ -76,8 +76,16 @@ def _check_reads_back(plant: Plant, text: str) -> None:
         if (ours.constant, ours.basis) != (theirs.constant, theirs.basis):
             raise InputError(
                 f"the {ours.basis} Lipschitz constant {ours.constant!r} cannot be written",
-                why=f'a file says "derive" for proved, which is {theirs.constant!r} ({theirs.basis}) on this domain',
+                why=f'a file says "derive" for proved, which is {theirs.constant!r} ({theirs.basis}) on this domain'
+                if ours.basis == "proved"
+                else f"a file gives it or those of the components, from which {theirs.constant!r} follows",
                 remedies=("use that constant", 'declare yours with basis "assumed"'),
+            )
+        if ours.channels != theirs.channels:
+            raise InputError(
+                f"the Lipschitz constants {ours.channels} of the components of phi cannot be written",
+                why=f'a file says "derive" for proved, which gives {theirs.channels} on this domain',
+                remedies=("use those constants", 'declare yours with basis "assumed"'),
             )
     written, read = plant.to_dict(), again.to_dict()
     lost = [key for key in written if written[key] != read.get(key)]
@@ -131,14 +139,18 @@ def _signals(signals: Signals) -> Lines:
         group: {n: r for n, r in zip(channels.names, channels.ranges, strict=True) if not math.isnan(r)}
         for group, channels in groups.items()
     }
+    limits = {name: pair for group in (signals.u, signals.y) for name, pair in group.limited().items()}
+    bounded = [f"{_key(name)} = [{_number(a)}, {_number(b)}]" for name, (a, b) in limits.items()]
+    after = ["", "[signals.limits]", *bounded] if bounded else []
     if not any(ranges.values()):
-        return lines
+        return lines + after
     # A name that both a state and a sensor bear needs the longer form, which says whose range it is.
     if set(signals.x.names) & set(signals.y.names):
         given = {group: table for group, table in ranges.items() if table}
-        return lines + ["", "[signals.range]", *(f"{group} = {_table(table)}" for group, table in given.items())]
+        told = [f"{group} = {_table(table)}" for group, table in given.items()]
+        return lines + ["", "[signals.range]", *told, *after]
     flat = [f"{_key(name)} = {_number(r)}" for table in ranges.values() for name, r in table.items()]
-    return lines + ["", "[signals.range]", *flat]
+    return lines + ["", "[signals.range]", *flat, *after]
 
 
 def _operating_point(plant: Plant) -> Lines:
@@ -200,7 +212,10 @@ def _nonlinearity(term: Lipschitz, signals: Signals) -> Lines:
     if term.domain:
         ends = [f"{_key(name)} = [{_number(a)}, {_number(b)}]" for name, (a, b) in term.domain.items()]
         lines.append(f"domain = {{ {', '.join(ends)} }}")
-    return [*lines, "lipschitz = " + ('"derive"' if term.basis == "proved" else _number(term.constant))]
+    if term.basis == "proved":
+        return [*lines, 'lipschitz = "derive"']
+    each = None if term.channels is None else ", ".join(_number(c) for c in term.channels)
+    return [*lines, f"lipschitz = {_number(term.constant)}" if each is None else f"lipschitz = [{each}]"]
 
 
 def _known(term: KnownTerm, signals: Signals) -> Lines:

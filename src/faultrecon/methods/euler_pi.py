@@ -31,19 +31,23 @@ from numpy.typing import NDArray
 from faultrecon.diagnosis.limits import Floor
 from faultrecon.finding import Finding, InputError
 from faultrecon.graph.observer import Observer
-from faultrecon.lmi.expr import Expr, I, __, let, sym, unknown
+from faultrecon.lmi.expr import Expr, __, let, sym, unknown
 from faultrecon.methods.base import Assumed, Identity, Method, Scaling, Theorem, lipschitz_premises
 from faultrecon.methods.papers import JIA_2015
-from faultrecon.methods.sampled_conditions import sampled_findings, unstructured
+from faultrecon.methods.sampled_conditions import each_premises, sampled_findings, unstructured
 from faultrecon.methods.sampled_letters import (
     Channels,
     SampledLetters,
     augmented,
     averaged,
+    held_fixed,
     held_model,
     noise_weighted_inverse,
     sampled_letters,
+    total,
 )
+from faultrecon.methods.sampled_mismatch import Mismatch, euler_mismatch, held_mismatch
+from faultrecon.methods.sampled_plants import HAS_ITS_MAP, OWN_MAP, continuous_findings
 from faultrecon.methods.sampled_prediction import Prediction, assembled, runge_kutta
 from faultrecon.plant.plant import Plant
 
@@ -82,8 +86,8 @@ class EulerPi(Method):
         return type(self)(T)
 
     def assumptions(self, plant: Plant) -> list[Finding]:
-        """A continuous plant with additive faults, rank(C D₁) = q₁, no zero outside the circle, a constant fault seen."""
-        return sampled_findings(plant, self.sample_time)
+        """Additive faults, rank(C D₁) = q₁, no zero outside the circle, a constant fault seen."""
+        return sampled_findings(self.posed(plant), self.sample_time)
 
     def unsolvable(self, plant: Plant) -> Finding | None:
         """What to do about a Lipschitz bound that no observer can live with."""
@@ -93,18 +97,27 @@ class EulerPi(Method):
         """None is known for the sampled error system."""
         return None
 
+    def posed(self, plant: Plant) -> Plant:
+        """The plant as the inequality sees it."""
+        return plant
+
     # ------------------------------------------------------------ model and decoupling
 
     def time(self, plant: Plant) -> float:
-        """T in s: as asked for, else the time for which a noise sample is held."""
-        if self.sample_time is not None:
-            return self.sample_time
+        """T in s: that of a sampled plant, else as asked for, else the time for which a noise sample is held."""
+        own = plant.sample_time or self.sample_time
+        if own is not None:
+            return own
         assert plant.noise is not None, "the assumptions ask for it"
         return plant.noise.hold
 
     def model(self, plant: Plant, T: float) -> Array:
         """Φ₁ (n, n): how everything that is held over a sample time moves the state."""
         return averaged(plant, T)
+
+    def mismatch(self, plant: Plant, T: float) -> Mismatch:
+        """How far that model is off the plant per second, on the declared domain: by nothing where it is the plant."""
+        return held_mismatch(plant, T) if plant.sample_time is None else Mismatch(np.zeros(plant.n))
 
     def left_inverse(self, plant: Plant, CD: Array) -> Array:
         """M with M C D₁ = I."""
@@ -128,7 +141,7 @@ class EulerPi(Method):
 
     def theorem(self, plant: Plant, scaling: Scaling) -> Theorem:
         """The reduced inequality for this plant."""
-        return self.theorem_reduced(plant, scaling)
+        return self.theorem_reduced(self.posed(plant), scaling)
 
     # fmt: off
     def theorem_reduced(self, plant: Plant, scaling: Scaling) -> Theorem:
@@ -140,31 +153,30 @@ class EulerPi(Method):
         Φ0 = self.model(plant, T0)
         H0 = self.decoupling(plant, Φ0)
         m = sampled_letters(plant, self.channels(plant), scaling, H0, self.unit_rates(plant), T0, idempotent=self.idempotent)
-        T, α, c_x, λ = m.gains["T"], unknown("α"), unknown("c_x"), unknown("λ")
+        T, α, c_x, Λ = m.gains["T"], unknown("α"), unknown("c_x"), m.Λ
         P, Y = unknown("P", m.nz, m.nz, symmetric=True), unknown("Y", m.nz, plant.p)
         level, γ = unknown("γ²"), unknown("γ")
         levels = [unknown(f"γ{k}²") for k in "₁₂₃"]
-        Γ  = let("Γ", _sum([g*(J@J.T) for g, J in zip(levels, m.parts, strict=True) if J.shape[1]]))
+        Γ  = let("Γ", total([g*(J@J.T) for g, J in zip(levels, m.parts, strict=True) if J.shape[1]]))
         X, Z = let("X", P@m.A - Y@m.C), let("Z", P@m.Ew - Y@m.Fw)
         PB = let("P B_r", P@m.Bφ)
-        Λ  = let("λℓ²", λ*m.α**2)
         Cz = let("C_z'C_z", m.faults.T@m.faults + c_x**2*(m.states.T@m.states))
-        lmi = sym([[ X + X.T + 2*α*P + Cz + Λ*(m.R.T@m.R),  PB                , Z + Λ*(m.R.T@m.Rw)   ,  T*X.T  ],
-                   [ __                                  , -λ*I(PB.shape[1])  , 0                    ,  T*PB.T ],
-                   [ __                                  ,  __                , -Γ + Λ*(m.Rw.T@m.Rw) ,  T*Z.T  ],
-                   [ __                                  ,  __                ,  __                  , -T*P    ]]) < 0
+        lmi = sym([[ X + X.T + 2*α*P + Cz + Λ.bound(m.R, m.R),  PB      , Z + Λ.bound(m.R, m.Rw)   ,  T*X.T  ],
+                   [ __                                      ,  Λ.minus , 0                        ,  T*PB.T ],
+                   [ __                                      ,  __      , -Γ + Λ.bound(m.Rw, m.Rw) ,  T*Z.T  ],
+                   [ __                                      ,  __      ,  __                      , -T*P    ]]) < 0
         weighed = [unknown(f"c{k}")*g for k, g, J in zip("₁₂₃", levels, m.parts, strict=True) if J.shape[1]]
         return Theorem(
             "4.2",
-            [lmi.tagged("(4.2)"), (P > 0).tagged("P > 0"), *([(λ > 0).tagged("λ > 0")] if PB.shape[1] else []),
-             ((level - _sum(weighed)) > 0).tagged("γ² > c₁γ₁² + c₂γ₂² + c₃γ₃²")],
+            [lmi.tagged("(4.2)"), (P > 0).tagged("P > 0"), *([(λ > 0).tagged(f"{λ} > 0") for λ in Λ.unknowns] if PB.shape[1] else []),
+             ((level - total(weighed)) > 0).tagged("γ² > c₁γ₁² + c₂γ₂² + c₃γ₃²")],
             minimise=level,
             gains=self.ships(m, P, Y) | {m.gains[k]: m.gains[k] for k in ("T", "H", "Φ₁")},
             prove_with={Y: P@m.K, level: γ**2},
             lyapunov=P, drift=X, readout=m.faults, noise=P@m.Ew@m.parts[1] - Y@m.Fw@m.parts[1], mildest=levels[1],
             criterion="of the gains at this level those with the least γ₂, that of the noise",
             identities=[*m.identities, *self.model_identities(plant, scaling, m.gains, T0)],
-            premises=[*lipschitz_premises(plant), *self.premises(plant)],
+            premises=[*(each_premises(plant) or lipschitz_premises(plant)), *self.premises(plant)],
             claim=self.claim(plant), scope=self.scope(plant),
             fixed={"T": T0, "H": H0, "Φ₁": Φ0} | held_fixed(plant, m), bases=("S", "S⁻¹", "S_f", "S_f⁻¹", "W", "T⁻¹", *BASES),
         )
@@ -200,7 +212,8 @@ class EulerPi(Method):
 
     def scope(self, plant: Plant) -> str:
         """What the guarantee covers, and what it does not."""
-        return f"covers the sampled loop {self.covers} in exact arithmetic with these gains{_for_which_phi(plant)}"
+        covers = self.covers if plant.sample_time is None else OWN_MAP
+        return f"covers the sampled loop {covers} in exact arithmetic with these gains{_for_which_phi(plant)}"
 
     covers: ClassVar[str] = (
         "at the sample time T, for the plant that is exact while u, φ, f and the disturbances are held over a sample time:"
@@ -214,11 +227,12 @@ class EulerPi(Method):
         return assembled(plant, self.channels(plant), gains, Prediction(gains["Φ₁"]), idempotent=self.idempotent)
 
     def notes(self, plant: Plant, gains: Mapping[str, Array]) -> tuple[str, ...]:
-        """The sample time, and how fast the error falls where the nonlinearity adds nothing."""
-        poles = np.abs(self.observer(plant, gains).poles)
-        return (
-            f"made for a sample every {gains['T'].item():g} s; spectral radius {poles.max():.6g} per sample (φ' = 0)",
-        )
+        """The sample time, how fast the error falls where the nonlinearity adds nothing, and how far the model is off."""
+        from faultrecon.methods.sampled_limits import practical_notes
+
+        radius = np.abs(self.observer(plant, gains).poles).max()
+        said = f"made for a sample every {gains['T'].item():g} s; spectral radius {radius:.6g} per sample (φ' = 0)"
+        return said, *practical_notes(self, self.posed(plant), gains)
 
 
 BASES = tuple(f"Φ_{2**j}" for j in range(1, 40))
@@ -235,9 +249,17 @@ class EulerPiEuler(EulerPi):
         " model and the plant, which is of the order of T;"
     )
 
+    def assumptions(self, plant: Plant) -> list[Finding]:
+        """Those of euler-pi, and a continuous plant."""
+        return continuous_findings(plant, HAS_ITS_MAP) or super().assumptions(plant)
+
     def model(self, plant: Plant, T: float) -> Array:
         """The identity."""
         return np.eye(plant.n)
+
+    def mismatch(self, plant: Plant, T: float) -> Mismatch:
+        """Half a sample time of ẍ."""
+        return euler_mismatch(plant, T)
 
     def left_inverse(self, plant: Plant, CD: Array) -> Array:
         """That of least norm, in the units of the sensors."""
@@ -256,6 +278,14 @@ class EulerPiRk4(EulerPi):
     name = "euler-pi-rk4"
     summary = "euler-pi with a Runge-Kutta prediction, for strong nonlinearities; its increment is checked, not proved"
     variant_of = "euler-pi"
+
+    def assumptions(self, plant: Plant) -> list[Finding]:
+        """Those of euler-pi, and a continuous plant."""
+        return continuous_findings(plant, HAS_ITS_MAP) or super().assumptions(plant)
+
+    def mismatch(self, plant: Plant, T: float) -> Mismatch:
+        """There is no bound in closed form."""
+        return Mismatch(None, "the error of a Runge-Kutta step, O(T⁴) per second, has no bound in closed form")
 
     def premises(self, plant: Plant) -> list[Assumed]:
         """What the inequality does not see."""
@@ -327,13 +357,9 @@ class EulerObserver(EulerPi):
     summary = "baseline: euler-pi without decoupling (J = I, H = 0), every disturbance attenuated"
     baseline = True
 
-    def assumptions(self, plant: Plant) -> list[Finding]:
-        """Those of euler-pi, but for what concerns decoupling."""
-        return super().assumptions(attenuating(plant))
-
-    def theorem(self, plant: Plant, scaling: Scaling) -> Theorem:
-        """The reduced inequality, which then is the whole one."""
-        return self.theorem_reduced(attenuating(plant), scaling)
+    def posed(self, plant: Plant) -> Plant:
+        """The plant in which nothing is to be decoupled."""
+        return attenuating(plant)
 
 
 def attenuating(plant: Plant) -> Plant:
@@ -342,42 +368,14 @@ def attenuating(plant: Plant) -> Plant:
     return replace(plant, disturbances=tuple(kept))
 
 
-STATE_WEIGHT = 0.1
-"""Of the state error, in declared ranges, against the fault error, in declared sizes: without it gains drift off."""
-NOISE_WEIGHT = 10.0
-"""c₂ over c₁ and c₃: a disturbance may sit at its worst frequency, noise never does.  On the flexible joint the errors
-of reconstructed faults are least between 1 and 10."""
-
-
-def held_fixed(plant: Plant, m: SampledLetters) -> dict[str, Any]:
-    """What is chosen before the program: decay rate, weights, and λ where there is no nonlinearity."""
-    fixed: dict[str, Any] = {"α": decay_rate(plant), "c_x": STATE_WEIGHT}
-    fixed |= {f"c{k}": c for k, c, J in zip("₁₂₃", (1.0, NOISE_WEIGHT, 1.0), m.parts, strict=True) if J.shape[1]}
-    return fixed if m.Bφ.shape[1] else fixed | {"λ": 1.0}
-
-
-def decay_rate(plant: Plant) -> float:
-    """α in 1/s that every plant allows: a quarter of its slowest mode that moves, half of the slowest fixed zero."""
-    from faultrecon.diagnosis.conditions import minimum_phase
-
-    rates = np.abs(np.linalg.eigvals(plant.A))
-    rates = rates[rates > 1e-9 * rates.max(initial=0.0)]
-    slowest = 0.25 * float(rates.min()) if rates.size else 0.25
-    zero = minimum_phase(plant).where
-    return slowest if zero is None else min(slowest, -0.5 * zero.real)
-
-
-def _sum(terms: list[Expr]) -> Expr:
-    total = terms[0]
-    for term in terms[1:]:
-        total = total + term
-    return total
-
-
 def _for_which_phi(plant: Plant) -> str:
     text = ""
     if plant.nonlinearity is not None:
-        text += f" for a Lipschitz constant up to {plant.nonlinearity.constant:.9g}"
+        known = plant.nonlinearity.channels if plant.nonlinearity.separate else None
+        text += (
+            " for Lipschitz constants of the components of φ up to " if known else " for a Lipschitz constant up to "
+        )
+        text += ", ".join(f"{c:.9g}" for c in known or (plant.nonlinearity.constant,))
         if plant.nonlinearity.domain:
             box = ", ".join(f"{k} in [{a:g}, {b:g}]" for k, (a, b) in plant.nonlinearity.domain.items())
             text += f" while the plant stays in {box}"

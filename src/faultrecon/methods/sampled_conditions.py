@@ -10,6 +10,9 @@ import numpy as np
 from faultrecon.diagnosis import conditions
 from faultrecon.diagnosis.existence import decoupling_findings, fault_findings
 from faultrecon.finding import Finding
+from faultrecon.methods.base import Assumed
+from faultrecon.methods.sampled_plants import continuous_findings, own_time_findings
+from faultrecon.plant.lipschitz import Lipschitz
 from faultrecon.plant.plant import Plant
 
 if TYPE_CHECKING:
@@ -23,7 +26,8 @@ beside its actuator fault: see tests/papers/test_jia2015.py."""
 
 def sampled_findings(plant: Plant, sample_time: float | None) -> list[Finding]:
     """Findings in the order in which they should be read; the first fatal one alone."""
-    found = plain_findings(plant, sample_time)
+    found = own_time_findings(plant, sample_time) or fault_findings(plant)
+    found = found or _kind(plant, sample_time) or _channels(plant)
     if found:
         return found
     found = decoupling_findings(plant)
@@ -33,14 +37,11 @@ def sampled_findings(plant: Plant, sample_time: float | None) -> list[Finding]:
 
 
 def plain_findings(plant: Plant, sample_time: float | None) -> list[Finding]:
-    """What every observer that is made for one sample time asks for: additive faults, noise, no way around the states."""
-    return fault_findings(plant) or _kind(plant, sample_time) or _channels(plant)
+    """What every observer asks for that discretises a plant itself: additive faults, noise, no way around the states."""
+    return fault_findings(plant) or continuous_findings(plant) or _kind(plant, sample_time) or _channels(plant)
 
 
 def _kind(plant: Plant, sample_time: float | None) -> list[Finding]:
-    if plant.sample_time is not None:
-        why = "the method discretises a continuous plant itself, together with what is decoupled"
-        return [Finding("the plant is sampled", why=why, remedies=("give the plant in continuous time",), see=SEE)]
     for f in plant.faults:
         if f.effect == "multiplicative":
             why = "the method reconstructs additive faults"
@@ -49,7 +50,7 @@ def _kind(plant: Plant, sample_time: float | None) -> list[Finding]:
     if plant.noise is None or not any(plant.noise.sd):
         what = f"{plant.name} declares no sensor noise"
         why = "without a price on noise the gains grow without bound"
-        if sample_time is None:
+        if sample_time is None and plant.sample_time is None:
             why += ", and its hold time is the sample time that a sampled observer is made for"
         remedies = ("declare noise: the standard deviation of each sensor, and the time for which a sample is held",)
         return [Finding(what, why=why, remedies=remedies, see=SEE)]
@@ -108,6 +109,30 @@ def _conditioning(plant: Plant) -> list[Finding]:
     ]
 
 
+def _cannot(term: Lipschitz, most: float) -> str:
+    if not term.separate or term.channels is None:
+        text = f"a Lipschitz constant of {term.constant:.6g}: the largest is {most:.6g}"
+    else:
+        each = ", ".join(f"{c:.6g}" for c in term.channels)
+        text = (
+            f"Lipschitz constants of {each} of the components of φ: {most / term.constant:.4g} times that is the most"
+        )
+    return f"no observer of this kind can live with {text}"
+
+
+def each_premises(plant: Plant) -> list[Assumed]:
+    """The bound on each component of φ, and who says so; nothing where there is one for all of φ."""
+    term = plant.nonlinearity
+    if term is None or term.channels is None or not term.separate:
+        return []
+    how = "proved by ball arithmetic, not rechecked here" if term.basis == "proved" else "declared with the plant"
+    bounds = []
+    for k, (constant, seen) in enumerate(zip(term.channels, term.sees, strict=True)):
+        reads = ", ".join(name for name, sees in zip(term.reads, seen, strict=True) if sees) or "no state"
+        bounds.append(f"{constant:.9g} for component {k + 1}, which reads {reads}")
+    return [Assumed("Lipschitz constants", f"on the domain {'; '.join(bounds)}: {how}", term.basis)]
+
+
 def unstructured(method: EulerPi, plant: Plant) -> Finding | None:
     """Why no multiplier serves: the Lipschitz bound against the largest one there is an observer for, in numbers."""
     from faultrecon.methods.sampled_limits import largest_lipschitz
@@ -121,12 +146,14 @@ def unstructured(method: EulerPi, plant: Plant) -> Finding | None:
     whole = term.into.shape[1] == plant.n or len(term.reads) == plant.n
     where = "declare where the nonlinearity enters ('into') and which states it reads ('reads')"
     scale = "scale the states: the bound |φ(a) - φ(b)| ≤ ℓ |a - b| depends on their units, the plant does not"
+    apart = term.into.shape[1] > 1 and not term.separate
+    each = ('give one Lipschitz constant per component of φ (lipschitz = "derive", or a list of numbers)',) * apart
     return Finding(
-        f"no observer of this kind can live with a Lipschitz constant of {term.constant:.6g}: the largest is {most:.6g}",
+        _cannot(term, most),
         why="φ enters every equation and reads every state, and among all such φ one hides a state that does not settle"
         if whole
         else "among all φ within that bound one hides a state that does not settle in a sample time",
         evidence={"Lipschitz constant": term.constant, "largest": most, "sample_time": method.time(plant)},
-        remedies=(where, scale) if whole else ("sample faster", "shrink the domain of φ", scale),
+        remedies=(where, scale, *each) if whole else (*each, "sample faster", "shrink the domain of φ", scale),
         see="Jia 2015, section 4, re-derived",
     )

@@ -8,6 +8,7 @@ their rate.  Disturbances with role "decouple" are D₁, the attenuated ones D�
     x_a⁺ = x_a + T Φ₁ (A x_a + B u + B_φ φ(H_φ x_a) + E f_a + D₁ d₁ + D₂ d₂) + T [0; f_s']       y = C x_a + D u + F₂ d₂ + N η
 
 Φ₁ = I is Euler's model, Φ₁ = (1/T) ∫ e^(As) ds the one that is exact while everything but x is held over a sample time.
+A plant that comes sampled has A - I in place of A and Φ₁ = I/T, see `sampled_plants`.
 """
 
 from __future__ import annotations
@@ -15,12 +16,14 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from faultrecon.lmi.expr import Expr, I, as_expr, given, let, unknown
 from faultrecon.methods.base import Identity, Scaling
+from faultrecon.methods.sampled_plants import moves, own_map, own_map_identities, sampled_decay_rate
 from faultrecon.plant.plant import Plant
 
 Array = NDArray[np.float64]
@@ -76,10 +79,50 @@ def noise_weighted_inverse(plant: Plant, CD: Array) -> Array:
 
 
 def averaged(plant: Plant, T: float) -> Array:
-    """Φ₁ = (1/T) ∫₀ᵀ e^(As) ds, (n, n)."""
+    """Φ₁ = (1/T) ∫₀ᵀ e^(As) ds, (n, n); of a sampled plant I/T, its own map."""
     from faultrecon.numerics.discretise import zoh
 
+    if plant.sample_time is not None:
+        return own_map(plant.n, T)
     return np.asarray(zoh(plant.A, np.eye(plant.n), T)[1] / T, dtype=float)
+
+
+@dataclass(frozen=True, eq=False)
+class Multiplier:
+    """How an inequality uses what is known of δ = φ(x) - φ(x̂), Δ what φ reads of x - x̂: Δ'(...)Δ - δ'Λδ >= 0.
+
+    unknowns: λ for |δ| <= ℓ |Δ|, or one λ_i per component for |δ_i| <= |α_i Δ|.  minus: -Λ.  weighs: each weight with
+    its α_i, None where the weight says it all.  moving: the components of φ that change with x, None for all.
+    """
+
+    unknowns: tuple[Expr, ...]
+    minus: Expr
+    weighs: tuple[tuple[Expr, Expr | None], ...]
+    moving: Expr | None = None
+
+    @staticmethod
+    def of(plant: Plant) -> Multiplier:
+        """One λ, unless the plant knows a constant for each of several components."""
+        letters, term = plant.letters(), plant.nonlinearity
+        if term is None or term.channels is None or not term.separate or not any(term.channels):
+            λ = unknown("λ")
+            return Multiplier((λ,), -λ*I(plant.G.shape[1]), ((let("λℓ²", λ*given("plant.α", letters["α"])**2), None),))  # fmt: skip
+        moving = [i for i, constant in enumerate(term.channels) if constant > 0]
+        names = [(name, name[1:]) for i, name in enumerate(term.letters()) if i in moving]
+        λs = tuple(unknown("λ" + digits) for _, digits in names)
+        αs = [given(f"plant.{name}", letters[name]) for name, _ in names]
+        picks = [given("J_φ" + digits, np.eye(1, len(names), k)) for k, (_, digits) in enumerate(names)]
+        minus = total([-λ * (J.T @ J) for λ, J in zip(λs, picks, strict=True)])
+        pick = None if len(moving) == len(term.channels) else given("J_φ", np.eye(len(term.channels))[:, moving])
+        return Multiplier(λs, minus, tuple(zip(λs, αs, strict=True)), pick)
+
+    def entering(self, columns: Expr) -> Expr:
+        """The columns of the components that change with x."""
+        return columns if self.moving is None else columns@self.moving  # fmt: skip
+
+    def bound(self, left: Expr, right: Expr) -> Expr:
+        """What Λ weighs on the other side, between two of Δ's coefficients."""
+        return total([w*(left.T@right) if α is None else w*((α@left).T@(α@right)) for w, α in self.weighs])  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,7 +130,7 @@ class SampledLetters:
     """The letters of the reduced error system in scaled units: ζ = [ε; e_f], e = W ε - H ν, ν = F₂ d₂ + N η.
 
     A, B_phi, C, R: of ζ;  E_w, F_w, R_w: of w = [d₂; η; ḟ];  faults, states: what is counted as error, of ζ.
-    Πx: what a push of the plant's states (n,) does to ζ.
+    Πx: what a push of the plant's states (n,) does to ζ.  Λ: what is known of φ.
     inputs: width of each part of w.  K: from what ships to [W'L; F].  ship: from K to what ships.
     gains: what ships, by letter.
     """
@@ -105,7 +148,7 @@ class SampledLetters:
     faults: Expr
     states: Expr
     Πx: Expr
-    α: Expr
+    Λ: Multiplier
     K: Expr
     ship: tuple[Expr, Expr, Expr]
     gains: dict[str, Expr]
@@ -140,7 +183,7 @@ def sampled_letters(
     Jx, Jc = given("J_x", np.eye(na, n)), given("J_c", np.eye(na, k, -n))
     Qc, Qd = given("Q_c", own.carried), given("Q_d", own.driven)
     Q1, Q2 = given("Q_1", own.decouple), given("Q_2", own.attenuate)
-    ship = gains_of(plant, own)
+    ship, Λ = gains_of(plant, own), Multiplier.of(plant)
     C  = let("C_a", (s["C"]@Jx.T + s["F_f"]@Qc@Jc.T)@S)
     H  = let("H_s", Si@ship["H"])
     J  = let("J", I(na) - H@C)
@@ -151,7 +194,7 @@ def sampled_letters(
     nε, nz = W0.shape[1], W0.shape[1] + r
     Jε, Jf = given("J_ε", np.eye(nz, nε)), given("J_f", np.eye(nz, r, -nε))
     Π  = let("Π", W.T@J@Φ)                                                     # what moves x_a moves ε by Π times it
-    A, G = let("A_a", Si@Jx@(s["A"]@Jx.T + s["E_f"]@Qc@Jc.T)@S), Si@Jx@s["G"]
+    A, G = let("A_a", Si@Jx@(moves(plant, s["A"])@Jx.T + s["E_f"]@Qc@Jc.T)@S), Λ.entering(Si@Jx@s["G"])
     E  = Si@(Jc@Qc.T if own.ramp else Jx@s["E_f"])@Qd@Sf
     D1, D2 = Si@Jx@s["E_w"]@s["W"]@Q1, Si@Jx@s["E_w"]@s["W"]@Q2
     Hφ = s["H"]@Jx.T@S
@@ -178,7 +221,7 @@ def sampled_letters(
         faults=let("C_f", faults if own.ramp else faults + s["V"]@Qd@Sf@Jf.T),
         states=let("C_x", Ω@Jx.T@S@W@Jε.T),
         Πx=let("Π_x", Jε@(W.T@J@Si@Jx)),
-        α=s["α"],
+        Λ=Λ,
         K=let("K", Jε@M + Jf@(Sfi@ship["F"])),
         ship=(S@W@Jε.T, Sf@Jf.T, back if idempotent else I(p)),
         gains=ship,
@@ -189,6 +232,8 @@ def sampled_letters(
 
 def held_model(plant: Plant, scaling: Scaling, ship: Mapping[str, Expr], T: float) -> tuple[Identity, ...]:
     """Φ₁ is (1/T) ∫ e^(As) ds of the T that ships: by its Taylor series at |A T| ≤ 1, else by doubling from there."""
+    if plant.sample_time is not None:
+        return own_map_identities(ship, plant.n, ROUNDING)
     x = np.exp2(scaling.state.astype(float))
     n = plant.n
     S, Si = given("S_x", np.diag(x)), given("S_x⁻¹", np.diag(1 / x))
@@ -268,3 +313,38 @@ def _units(plant: Plant, own: Channels, scaling: Scaling, rates: Array) -> tuple
 
 def _near(sizes: Array) -> Array:
     return np.exp2(np.rint(np.log2(sizes))) if len(sizes) else np.zeros(0)
+
+
+STATE_WEIGHT = 0.1
+"""Of the state error, in declared ranges, against the fault error, in declared sizes: without it gains drift off."""
+NOISE_WEIGHT = 10.0
+"""c₂ over c₁ and c₃: a disturbance may sit at its worst frequency, noise never does.  On the flexible joint the errors
+of reconstructed faults are least between 1 and 10."""
+
+
+def held_fixed(plant: Plant, m: SampledLetters) -> dict[str, Any]:
+    """What is chosen before the program: decay rate, weights, and λ where there is no nonlinearity."""
+    fixed: dict[str, Any] = {"α": decay_rate(plant), "c_x": STATE_WEIGHT}
+    fixed |= {f"c{k}": c for k, c, J in zip("₁₂₃", (1.0, NOISE_WEIGHT, 1.0), m.parts, strict=True) if J.shape[1]}
+    return fixed if m.Bφ.shape[1] else fixed | {"λ": 1.0}
+
+
+def decay_rate(plant: Plant) -> float:
+    """α in 1/s that every plant allows: a quarter of its slowest mode that moves, half of the slowest fixed zero."""
+    from faultrecon.diagnosis.conditions import minimum_phase
+
+    if plant.sample_time is not None:
+        return sampled_decay_rate(plant)
+    rates = np.abs(np.linalg.eigvals(plant.A))
+    rates = rates[rates > 1e-9 * rates.max(initial=0.0)]
+    slowest = 0.25 * float(rates.min()) if rates.size else 0.25
+    zero = minimum_phase(plant).where
+    return slowest if zero is None else min(slowest, -0.5 * zero.real)
+
+
+def total(terms: list[Expr]) -> Expr:
+    """Their sum, of one or more."""
+    found = terms[0]
+    for term in terms[1:]:
+        found = found + term
+    return found

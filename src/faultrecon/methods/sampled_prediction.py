@@ -14,6 +14,7 @@ from faultrecon.graph.function import Graph
 from faultrecon.graph.observer import CopiedTerm, NonlinearTerm, Observer
 from faultrecon.methods.base import deviations
 from faultrecon.methods.sampled_letters import Channels
+from faultrecon.methods.sampled_plants import moves
 from faultrecon.plant.plant import Plant
 
 Array = NDArray[np.float64]
@@ -88,7 +89,7 @@ def assembled(
     Cx = np.hstack([J, np.zeros((na, r))])  # x̂_a = Cx z + Dx v
     Dx = np.hstack([-H @ plant.D, H])
     Cr, Dr = -C @ Cx, np.hstack([-plant.D, np.eye(p)]) - C @ Dx  # r = Cr z + Dr v
-    step = whole[:, :na] + move @ np.hstack([plant.A, plant.E_f @ own.carried])
+    step = whole[:, :na] + move @ np.hstack([moves(plant, plant.A), plant.E_f @ own.carried])
     A, B = step @ Cx + K @ Cr, step @ Dx + K @ Dr
     drives = T * whole[:, n:na] @ own.carried.T if own.ramp else move @ plant.E_f
     A[:, na:] += np.eye(na + r, r, -na) + drives @ own.driven

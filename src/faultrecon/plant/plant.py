@@ -146,12 +146,13 @@ class Plant:
 
     def letters(self) -> dict[str, Array]:
         """Every matrix of the plant by its letter; W and V are diagonal: size of each counted disturbance, 1/size of
-        each fault; α is the Lipschitz constant (1, 1)."""
+        each fault; α is the Lipschitz constant (1, 1), α₁, α₂, ... (s, s) those of the components of φ, where known."""
         return {
             **{k: getattr(self, k) for k in ("A", "B", "C", "D", "E_w", "F_w", "E_f", "F_f", "G", "H")},
             "W": np.diag([d.size for d in self.attenuated]).reshape(2 * (len(self.attenuated),)),
             "V": np.diag([1.0 / f.size for f in self.faults]).reshape(2 * (len(self.faults),)),
             "α": np.array([[0.0 if self.nonlinearity is None else self.nonlinearity.constant]]),
+            **({} if self.nonlinearity is None else self.nonlinearity.letters()),
         }
 
     # ------------------------------------------------------------ derived plants
@@ -179,7 +180,7 @@ class Plant:
         sizes = {"x": self.n, "u": len(self.signals.u), "t": 1}
         phi = Graph.trace(lambda x, u, t: old.phi.symbolic(x[index], u, t), sizes)
         phi = replace(phi, inputs={"x": names, "u": self.signals.u.names, "t": ("t",)})
-        return replace(self, nonlinearity=replace(old, reads=names, phi=phi))
+        return replace(self, nonlinearity=replace(old, reads=names, phi=phi, channels=None))
 
     # ------------------------------------------------------------ other people's systems
 
@@ -298,7 +299,9 @@ def _hexed(table: Any) -> dict[str, str]:
 
 def _group(group: Any) -> dict[str, Any]:
     ranges = [None if math.isnan(r) else float(r).hex() for r in group.ranges]
-    return {"names": list(group.names), "units": list(group.units), "ranges": ranges}
+    limits = {name: [float(v).hex() for v in pair] for name, pair in group.limited().items()}
+    told = {"limits": limits} if limits else {}  # absent where there are none: plants of before keep their digest
+    return {"names": list(group.names), "units": list(group.units), "ranges": ranges} | told
 
 
 def _phi(term: Lipschitz) -> dict[str, Any]:
@@ -309,4 +312,5 @@ def _phi(term: Lipschitz) -> dict[str, Any]:
         "constant": float(term.constant).hex(),
         "basis": term.basis,
         "domain": {k: [float(v[0]).hex(), float(v[1]).hex()] for k, v in term.domain.items()},
+        **({} if term.channels is None else {"channels": [float(c).hex() for c in term.channels]}),
     }

@@ -16,7 +16,7 @@ from faultrecon.plant.fault import Disturbance, FaultChannel
 from faultrecon.plant.lipschitz import KnownTerm, Lipschitz
 from faultrecon.plant.plant import OperatingPoint, Plant
 from faultrecon.plant.polytopic import Polytopic
-from faultrecon.plant.signals import Channels, Noise, Signals
+from faultrecon.plant.signals import UNLIMITED, Channels, Noise, Signals
 from faultrecon.storage.hashing import canonical_digest
 
 _number = float.fromhex
@@ -68,7 +68,9 @@ def _plant(s: Mapping[str, Any]) -> Plant:
 
 def _channels(s: Mapping[str, Any]) -> Channels:
     ranges = tuple(math.nan if r is None else _number(r) for r in s["ranges"])
-    return Channels(tuple(s["names"]), tuple(s["units"]), ranges)
+    limits = {name: (_number(low), _number(high)) for name, (low, high) in s.get("limits", {}).items()}
+    names = tuple(s["names"])
+    return Channels(names, tuple(s["units"]), ranges, tuple(limits.get(name, UNLIMITED) for name in names))
 
 
 def _table(s: Mapping[str, str]) -> dict[str, float]:
@@ -91,4 +93,5 @@ def _lipschitz(s: Mapping[str, Any]) -> Lipschitz:
         _number(s["constant"]),
         s["basis"],
         {name: (_number(a), _number(b)) for name, (a, b) in s["domain"].items()},
+        tuple(_number(c) for c in s["channels"]) if "channels" in s else None,
     )
