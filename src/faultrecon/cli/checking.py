@@ -10,19 +10,21 @@ from faultrecon.plant.plant import Plant
 
 
 def examined(
-    plant: Plant, with_sensors: bool, candidates: Sequence[str] = (), *, as_json: bool = True
+    plant: Plant, with_sensors: bool, candidates: Sequence[str] = (), *, as_json: bool = True, log: str = ""
 ) -> tuple[bool, dict[str, Any], str]:
     """Whether the faults can be reconstructed together, the answer as plain values, and as text.
 
     candidates: sensors that could be added, as text; they are ranked beside those that read a single state.  as_json:
-    without it the plain values stay empty, and the distances that only they show are not computed.
+    without it the plain values stay empty, and the distances that only they show are not computed.  log: a recording
+    along which faults that multiply are looked at.
     """
     from faultrecon.advise.recommendation import recommend
     from faultrecon.diagnosis.diagnosis import diagnose
     from faultrecon.diagnosis.sensors import Candidate
 
     extra = [Candidate.from_text(text, plant) for text in candidates]
-    found, advice = diagnose(plant), recommend(plant)
+    found = diagnose(plant, _trajectory(plant, log)) if log else diagnose(plant)
+    advice = recommend(plant)
     data = {**found.as_dict(), "possible": found.possible, "recommendation": advice.as_dict()} if as_json else {}
     lines = [str(found), str(advice)]
     if plant.faults and (with_sensors or extra):
@@ -32,6 +34,18 @@ def examined(
         rows, more = _sets(plant)
         data, lines = data | rows, [*lines, more]
     return found.possible, data, "\n".join(lines)
+
+
+def _trajectory(plant: Plant, log: str) -> tuple[Any, ...]:
+    """Where a recording went: its states where it has columns of their names, else those of the model by itself."""
+    import numpy as np
+
+    from faultrecon.io.logs import read_log
+
+    read = read_log(log, plant.signals)
+    columns = [read.extra.get(name) for name in plant.signals.x]
+    known = [c for c in columns if c is not None]
+    return (read.t, read.u, np.column_stack(known)) if len(known) == plant.n else (read.t, read.u)
 
 
 def _changes(plant: Plant, extra: Sequence[Any]) -> tuple[dict[str, Any], str]:

@@ -7,7 +7,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from faultrecon.diagnosis.conditions import Condition
 from faultrecon.diagnosis.existence import (
@@ -20,8 +20,11 @@ from faultrecon.diagnosis.existence import (
 )
 from faultrecon.diagnosis.limits import Floor, reconstruction_floors, slow_fault_floor
 from faultrecon.diagnosis.plausibility import oddities
-from faultrecon.finding import Finding
+from faultrecon.finding import Finding, InputError
 from faultrecon.plant.plant import Plant
+
+if TYPE_CHECKING:
+    from faultrecon.diagnosis.possibility import Possibility
 
 
 @dataclass(frozen=True)
@@ -30,7 +33,7 @@ class FaultDiagnosis:
 
     floor: smallest gain from disturbances to errors when nothing fatal was found.  limit: the floor that applies
     whether or not it was, for faults that hide an unstable mode in seconds of the faults' rate.  subject: the plant
-    with these faults.
+    with these faults.  possibility: what is known of a set in which a fault multiplies; None otherwise.
     """
 
     faults: tuple[str, ...]
@@ -38,6 +41,7 @@ class FaultDiagnosis:
     floor: float | None
     limit: Floor | None = None
     subject: Plant | None = field(default=None, repr=False, compare=False)
+    possibility: Possibility | None = field(default=None, repr=False, compare=False)
 
     @cached_property
     def conditions(self) -> tuple[Condition, ...]:
@@ -78,6 +82,7 @@ class Diagnosis:
                 "limit": limit,
                 "findings": findings,
                 "conditions": [c.as_dict() for c in d.conditions],
+                **({} if d.possibility is None else {"possibility": d.possibility.as_dict()}),
             }
 
         sets = {"together": plain(self.together), "alone": [plain(d) for d in self.alone]}
@@ -96,7 +101,9 @@ class Diagnosis:
 def _said(label: str, d: FaultDiagnosis) -> list[str]:
     """What is found about one set of faults, in lines."""
     bounded = d.limit is not None and d.limit.kind == "hidden mode" and math.isfinite(d.limit.value)
-    answer = "can be reconstructed" if d.possible else "cannot be reconstructed" + (" exactly" if bounded else "")
+    slow = "" if d.possibility is None or d.possibility.any_waveform else ", while slow"
+    exactly = " exactly" if bounded else ""
+    answer = f"can be reconstructed{slow}" if d.possible else f"cannot be reconstructed{exactly}"
     limit = f"; {d.limit}" if d.possible and d.limit is not None else ""
     lines = [f"  {label}: {answer}{limit}", *(f"    {f}" for f in d.findings)]
     if not d.possible and d.limit is not None and d.limit.kind == "hidden mode":
@@ -104,25 +111,42 @@ def _said(label: str, d: FaultDiagnosis) -> list[str]:
     return lines
 
 
-def diagnose(plant: Plant) -> Diagnosis:
+def diagnose(plant: Plant, trajectory: Any = None) -> Diagnosis:
     """Whether the declared faults can be reconstructed, together and each alone, with reasons and the floor.
 
     Additive sensor faults of any waveform; sampled plants alike; with an actuator fault all faults are taken as slowly
-    varying, because nothing else is observable in general.  Raises nothing: every obstacle is a Finding.
+    varying, because nothing else is observable in general.  A fault that multiplies its sensor is looked at where the
+    plant works: see `possibility` of each set.  trajectory: a run, or (t, u, x) absolute, along which that is done;
+    without it at points of the declared region and at the operating point.  Every obstacle is a Finding; raises
+    InputError on a trajectory where no fault multiplies, or that is none of this plant.
     """
     names = tuple(f.name for f in plant.faults)
+    if trajectory is not None and not _multiplies(plant):
+        raise InputError(
+            "a trajectory is given, and no fault multiplies its sensor",
+            why="whether additive faults can be reconstructed does not depend on where the plant goes",
+            remedies=("leave the trajectory out",),
+        )
     sets = [plant, *(plant.with_faults([name]) for name in names if len(names) > 1)]
-    begun = [_obstacles(one) for one in sets]
+    begun = [_obstacles(one, trajectory) for one in sets]
     found = [_limited(d, limit) for d, limit in zip(begun, _limits(begun), strict=True)]
-    return Diagnosis(plant.name, found[0], tuple(found[1:]), tuple(oddities(plant)))
+    # A level against disturbances, and sensors that count as exact in it, are no matter of faults that multiply.
+    level = not names or any(f.effect == "additive" for f in plant.faults)
+    notes = oddities(plant if level else replace(plant, faults=()))
+    return Diagnosis(plant.name, found[0], tuple(found[1:]), tuple(notes))
 
 
-def _obstacles(plant: Plant) -> FaultDiagnosis:
+def _obstacles(plant: Plant, trajectory: Any) -> FaultDiagnosis:
     """What stands against these faults; no limit yet."""
     names = tuple(f.name for f in plant.faults)
     outside = _scope(plant) or fault_findings(plant)
     if outside:
         return FaultDiagnosis(names, tuple(outside), None)
+    if _multiplies(plant):
+        from faultrecon.diagnosis.possibility import possibility
+
+        known = possibility(plant, trajectory)
+        return FaultDiagnosis(names, known.findings, None, possibility=known)
     if _actuator(plant):
         return FaultDiagnosis(names, tuple(decoupling_findings(plant)), None, subject=plant)
     findings = detectability_findings(plant)
@@ -155,9 +179,13 @@ def _actuator(plant: Plant) -> bool:
     return any(f.site == "actuator" for f in plant.faults)
 
 
+def _multiplies(plant: Plant) -> bool:
+    return any(f.effect == "multiplicative" for f in plant.faults)
+
+
 def _scope(plant: Plant) -> list[Finding]:
-    """Multiplicative faults, and a known term that reads a faulty sensor: outside every statement made here."""
-    if plant.known is None and all(f.effect == "additive" for f in plant.faults):
+    """A known term that reads a faulty sensor: outside every statement made here."""
+    if plant.known is None:
         return []
-    sensors = tuple(f for f in plant.faults if f.site == "sensor" or f.effect == "multiplicative")
+    sensors = tuple(replace(f, effect="additive") for f in plant.faults if f.site == "sensor")
     return additive_sensor_findings(replace(plant, faults=sensors, sample_time=None))

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from faultrecon.diagnosis.conditions import constant_fault, living_in
 from faultrecon.diagnosis.limits import Floor, reconstruction_floor, slow_fault_floor
 from faultrecon.diagnosis.model import Matrices, slow_modes
+from faultrecon.diagnosis.possibility_points import ranked, region_of
 from faultrecon.finding import InputError, did_you_mean
 from faultrecon.numerics.annihilator import annihilator, column_rank
 from faultrecon.numerics.pencil import SlowModes
@@ -265,6 +266,10 @@ def _existence(plant: Plant, chosen: Sequence[int], slow: SlowModes) -> tuple[bo
     F = plant.F_f[:, sensor]
     if column_rank(F) < len(sensor):
         return False, f"{' and '.join(names)} move the measurements in dependent directions"
+    if any(plant.faults[j].effect == "multiplicative" for j in chosen):
+        rank = ranked(plant.with_faults(names), region_of(plant))
+        why = f"the sensors do not tell them from the state in {rank.region}"
+        return rank.separable > 0, "" if rank.separable else why
     if len(sensor) < len(chosen):
         condition = constant_fault(plant.with_faults(names))
         return condition.holds, "" if condition.holds else f"{condition.name} fails"
