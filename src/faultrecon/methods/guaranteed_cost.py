@@ -9,162 +9,28 @@ sensor attains it with a gain without bound.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import ClassVar
+from collections.abc import Mapping
 
 import numpy as np
 from numpy.typing import NDArray
 
-from faultrecon.diagnosis.limits import Floor
-from faultrecon.finding import Finding, InputError
 from faultrecon.graph.observer import Observer
-from faultrecon.lmi.expr import Expr, I, __, given, let, sym, unknown
-from faultrecon.lmi.problem import Problem
-from faultrecon.lmi.solve import solve
-from faultrecon.methods.base import Assumed, Identity, Method, Scaling, Theorem, letters
+from faultrecon.methods.base import Assumed
+from faultrecon.methods.guaranteed_variance import GuaranteedVariance, agreement, bounds
 from faultrecon.methods.papers import BEZZAOUCHA_2013
-from faultrecon.methods.scaled_sensors import (
-    innovation,
-    innovation_corners,
-    interval,
-    interval_warnings,
-    noise_intensity,
-    observer_of,
-    scaling_findings,
-)
-from faultrecon.plant.fault import Disturbance
+from faultrecon.methods.scaled_sensors import innovation, observer_of
 from faultrecon.plant.plant import Plant
 from faultrecon.plant.sector import Sector
 
 Array = NDArray[np.float64]
 
 
-class TsGuaranteedCost(Method):
+class TsGuaranteedCost(GuaranteedVariance):
     """R1: the vertices of A(z) with the premise frozen at its estimate, and diag(ĥ) F in the innovation."""
 
     name = "ts-guaranteed-cost"
     summary = "multiplicative sensor faults: constant gain of least guaranteed variance over the vertices of A(z)"
     paper = BEZZAOUCHA_2013
-    # The optimum is attained here, so the back-off is room for the proof alone: the gains stay those of least cost.
-    backoff = 1e-4
-    level_of = "deviation"
-    divided: ClassVar[bool] = False
-
-    def assumptions(self, plant: Plant) -> list[Finding]:
-        """Multiplicative sensor faults, a polytopic form that is the plant's own equation, noise, and a fault rate."""
-        found = scaling_findings(plant)
-        if found:
-            return found
-        if plant.noise is None or not all(plant.noise.sd):
-            return [_no_noise(plant)]
-        still = [f.name for f in plant.faults if not np.isfinite(f.rate)]
-        if still:
-            return [
-                Finding(
-                    f"no rate is declared for {', '.join(still)}",
-                    why="how fast the gain may drift, beside the noise, is what decides how fast the estimate is",
-                    evidence={"faults": still},
-                    remedies=(f"add rate = ... to the [[fault]] table of '{still[0]}'",),
-                    see="Bezzaoucha 2013, re-derived",
-                )
-            ]
-        both = [d.name for d in plant.disturbances if any(d.into.values()) and any(d.on.values())]
-        if both:
-            return [_both_ways(both)]
-        try:
-            own = self.sector(plant).findings()
-            hindrances = [f for f in own if f.severity == "fatal"] or self.quadratic_findings(plant)
-        except InputError as error:
-            return [error.finding]
-        return hindrances or [*interval_warnings(plant), *own]
-
-    def sector(self, plant: Plant) -> Sector:
-        """The family whose vertices the error equation runs through."""
-        return Sector.of(plant)
-
-    def error_vertices(self, plant: Plant) -> Array:
-        """The state matrix of the error equation at every corner, (k, n, n)."""
-        return self.sector(plant).A
-
-    def quadratic_findings(self, plant: Plant) -> list[Finding]:
-        """Whether one P and one G make the error decay at every vertex: He(P A_v - Y H_w) < -I, P > I, up to scale."""
-        n, N, p = plant.n, plant.n + len(plant.faults), plant.p
-        J, P, Y = given("J_x", np.eye(N, n)), unknown("P", N, N, symmetric=True), unknown("Y", N, p)
-        H = [given(f"H{w + 1}", value) for w, value in enumerate(innovation_corners(plant, divided=self.divided))]
-        claims = [(P - I(N) > 0).tagged("P > I")]
-        for v, vertex in enumerate(self.error_vertices(plant)):
-            for w, Hw in enumerate(H):
-                D = P @ (J @ given(f"A{v + 1}", vertex) @ J.T) - Y @ Hw
-                claims.append((D + D.T + I(N) < 0).tagged(f"vertex {v + 1},{w + 1}"))
-        outcome = solve(Problem(claims))
-        if outcome.status != "infeasible":
-            return []
-        shares = np.array([np.trace(dual) for dual in outcome.duals[1:]])
-        return [_not_quadratic(plant, self.sector(plant), len(claims) - 1, claims[1 + int(np.argmax(shares))].label)]
-
-    def premises(self, plant: Plant) -> list[Assumed]:
-        """What the vertices rest on."""
-        sector = self.sector(plant)
-        varying = [name for name in sector.family.names if name not in sector.measured]
-        found = [_agreement(sector, "A(z) x + B(z) u = f(x, u)"), _bounds(sector)]
-        if varying:
-            text = f"(A(z) - A(ẑ)) x + (B(z) - B(ẑ)) u for {', '.join(varying)} is taken for noise of the declared size"
-            found.append(Assumed("frozen premise", text, "assumed"))
-        return found
-
-    def counted(self, plant: Plant) -> tuple[Disturbance, ...] | None:
-        """All of them, as white noise of their sizes."""
-        return plant.disturbances
-
-    def floor(self, plant: Plant) -> Floor | None:
-        """None is known for a variance over a box."""
-        return None
-
-    # fmt: off
-    def theorem(self, plant: Plant, scaling: Scaling) -> Theorem:
-        """One P and one G for all vertices; X = P⁻¹ bounds the covariance of the error along every trajectory in the box."""
-        n, q, p, own = plant.n, len(plant.faults), plant.p, letters(plant, scaling)
-        N, s, T, Ti = n + q, own, own.T, own.Ti
-        Jx, Jf = given("J_x", np.eye(N, n)), given("J_f", np.eye(N, q, -n))
-        Vi     = given("V⁻¹", np.diag([f.size for f in plant.faults]).reshape(q, q))
-        to, back = let("T_a", Jx@T@Jx.T + Jf@Vi@Jf.T), let("T_a⁻¹", Jx@Ti@Jx.T + Jf@s["V"]@Jf.T)
-        drives, noise = _drives(plant), noise_intensity(plant, divided=self.divided)
-        κ      = 2.0 ** -round(float(np.log2(_expected(drives, noise))))
-        Q, r   = let("Q", κ*(back@given("drives", drives))), given("r", κ*noise)
-        E      = let("E", given("1/sizes", np.diag(1 / _sizes(plant)))@to)
-        P, Y, Z = unknown("P", N, N, symmetric=True), unknown("Y", N, p), unknown("Z", N, N, symmetric=True)
-        γ2, γ, G = unknown("γ²"), unknown("γ"), unknown("G", N, p)
-        lmis, drifts = [], []
-        H = [let(f"H_{w+1}", given(f"H{w+1}", value)@to) for w, value in enumerate(innovation_corners(plant, divided=self.divided))]
-        for v, vertex in enumerate(self.error_vertices(plant)):
-            A = let(f"A_{v+1}", Jx@(Ti@given(f"A{v+1}", vertex)@T)@Jx.T)
-            for w, Hw in enumerate(H):
-                D = P@A - Y@Hw
-                drifts.append(D)
-                lmis.append((sym([[ D + D.T, P@Q              , Y@r   ],
-                                  [ __     , -I(drives.shape[1]), 0     ],
-                                  [ __     , __               , -I(noise.shape[1]) ]]) < 0).tagged(f"vertex {v+1},{w+1}"))
-        cost = let("tr Z", trace(Z))
-        bounds = [(sym([[Z, E], [__, P]]) > 0).tagged("Z > E P⁻¹ Eᵀ"), (γ2 - cost > 0).tagged("γ² > tr Z")]
-        return Theorem(
-            self.name, [*lmis, *bounds], minimise=γ2, gains={G: to@P.inv()@Y}, prove_with={Y: P@back@G, γ2: (κ*γ)**2},
-            unit=κ, lyapunov=P, drift=drifts[0], drifts=drifts, readout=Jf.T, noise=Y@r, mildest=cost, criterion="least tr Z, the bound itself",
-            identities=[Identity("T T⁻¹ = I", T@Ti - I(n)), Identity("V V⁻¹ = I", s["V"]@Vi - I(q), 2.0**-40)],
-            premises=self.premises(plant),
-            claim="Σ var(e/size) ≤ γ² for white noise of the declared sizes, and"
-                  " e(t)ᵀP e(t) ≤ e(0)ᵀP e(0) + ∫(|w|² + |n|²) dt for any, e = (x - x̂, f - f̂)",
-            scope=self.scope(plant),
-        )
-    # fmt: on
-
-    def scope(self, plant: Plant) -> str:
-        """What the claim covers and what it does not."""
-        return f"covers {self.covered}, {_where(plant)}; {NOT_COVERED}"
-
-    covered: ClassVar[str] = (
-        "the error equation with the premise frozen at its estimate; it is no stability proof of the nonlinear error,"
-        " and holds"
-    )
 
     def observer(self, plant: Plant, gains: Mapping[str, Array]) -> Observer:
         """ẋ̂ = f(x̂, u) + G_x ν, f̂' = G_f ν with ν the innovation."""
@@ -189,100 +55,4 @@ class TsMeanValue(TsGuaranteedCost):
     def premises(self, plant: Plant) -> list[Assumed]:
         """What the vertices rest on."""
         sector = self.sector(plant)
-        return [_agreement(sector, "J(z) = ∂f/∂x"), _bounds(sector)]
-
-
-NOT_COVERED = (
-    "does not cover sampling, rounding at run time, a plant that differs from the model, or what leaves the box"
-)
-
-
-def trace(expr: Expr) -> Expr:
-    """The trace of a square expression as a (1, 1) expression."""
-    n = expr.shape[0]
-    e = [given(f"e{k + 1}", np.eye(n)[:, [k]]) for k in range(n)]
-    total = e[0].T @ expr @ e[0]
-    for one in e[1:]:
-        total = total + one.T @ expr @ one
-    return total
-
-
-def _drives(plant: Plant) -> Array:
-    """What drives the error, one column per unit white source: the declared disturbances, and each fault at its rate."""
-    n, q = plant.n, len(plant.faults)
-    columns = [np.zeros((n + q, 0))]
-    for d in plant.disturbances:
-        column = np.zeros((n + q, 1))
-        for name, c in d.into.items():
-            column[plant.signals.x.index(name)] = c * d.size
-        if column.any():
-            columns.append(column)
-    rates = np.zeros((n + q, q))
-    rates[n:] = np.diag([f.rate for f in plant.faults])
-    return np.hstack([*columns, rates])
-
-
-def _expected(drives: Array, noise: Array) -> float:
-    """About the size of the error: the root of drive times noise, as for one integrator behind one sensor."""
-    return float(np.sqrt(np.abs(drives).max() * np.abs(noise).max()))
-
-
-def _sizes(plant: Plant) -> Array:
-    """What an error of each state and fault counts: declared ranges, 1 where there is none, and sizes."""
-    ranges = np.array(plant.signals.x.ranges, float)
-    return np.concatenate([np.where(np.isfinite(ranges), ranges, 1.0), [f.size for f in plant.faults]])
-
-
-def _agreement(sector: Sector, equation: str) -> Assumed:
-    return Assumed("exact form", f"{equation} {sector.agreement}", sector.agreement.verdict)
-
-
-def _bounds(sector: Sector) -> Assumed:
-    """The bounds of the premises, as strong as the weakest of them."""
-    basis = "assumed" if any(p.basis == "assumed" for p in sector.premises) else "proved"
-    text = ", ".join(f"{p.name} in [{p.low:.6g}, {p.high:.6g}] ({p.basis})" for p in sector.premises)
-    return Assumed("premise bounds", f"{text}: by interval arithmetic over the box where proved", basis)
-
-
-def _where(plant: Plant) -> str:
-    assert plant.polytopic is not None
-    ends: Sequence[tuple[str, tuple[float, float]]] = [
-        *plant.polytopic.box.items(),
-        *((f.name, interval(plant, f.name, f.size)) for f in plant.faults),
-    ]
-    return "while x, x̂ and u, f and f̂ stay in " + ", ".join(f"{k} in [{a:g}, {b:g}]" for k, (a, b) in ends)
-
-
-def _both_ways(names: Sequence[str]) -> Finding:
-    return Finding(
-        f"{names[0]} acts on states and on sensors at once",
-        why="noise and drive are taken to be independent of each other",
-        evidence={"disturbances": list(names)},
-        remedies=(f"split {names[0]} into two disturbances",),
-        see="Bezzaoucha 2013, re-derived",
-    )
-
-
-def _not_quadratic(plant: Plant, sector: Sector, blocks: int, hardest: str) -> Finding:
-    """Farkas: the solver's dual excludes every P and G; it was checked in floating point."""
-    bounds = {p.name: [p.low, p.high] for p in sector.premises}
-    what = f"no constant gain makes the error of {plant.name} decay at every vertex of the box"
-    why = f"{blocks} inequalities contradict each other for every P and G, {hardest} above all (checked by its dual)"
-    remedies = (
-        "shrink the box of [polytopic]",
-        "add a healthy sensor",
-        "declare the slope in premises that vary alike",
-    )
-    return Finding(
-        what, why, {"vertices": blocks, "hardest": hardest, "premises": bounds}, remedies, "Bezzaoucha 2013, re-derived"
-    )
-
-
-def _no_noise(plant: Plant) -> Finding:
-    return Finding(
-        f"{plant.name} declares no noise for some sensor",
-        why="without noise the best gain is infinite",
-        evidence={"sd": [] if plant.noise is None else list(plant.noise.sd)},
-        remedies=("add a [noise] table with a positive sd for every sensor",),
-        see="Bezzaoucha 2013, re-derived",
-    )
+        return [agreement(sector, "J(z) = ∂f/∂x"), bounds(sector)]

@@ -3,13 +3,15 @@
 
 The augmented state is s = [x - x0; f; d], faults and decoupled disturbances being random walks; the observer's state is
 z = [s; P - P0], P by its lower triangle, so that a start at zero has the covariance P0.  Sensors are taken one after the
-other, since their noises are independent: no matrix is inverted.
+other, since their noises are independent: no matrix is inverted.  A sensor whose gain is at fault shows
+(1 + F_m f) h, with h what it would show healthy; all others are linear in s.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,7 +23,6 @@ from faultrecon.methods.sampled_letters import ranges_or_one
 from faultrecon.plant.plant import Plant
 
 Array = NDArray[np.float64]
-Kind = Literal["extended", "unscented"]
 
 UNSEEN = 1e-9
 """Of a sensor's noise: an innovation below it says that the sample lacked the sensor and holds its prediction instead."""
@@ -32,19 +33,25 @@ TINY = 1e-300
 
 @dataclass(frozen=True, eq=False)
 class Tuning:
-    """Covariances: Q (N, N) of what moves s in one sample time, R (p,) of the sensors, P0 (N, N) at the start."""
+    """Covariances: Q (N, N) of what moves s in one sample time, R (p,) of the sensors, P0 (N, N) at the start.
+
+    gate: innovations whose square is more than this many of their variances are taken for a jump of the faults on that
+    sensor, whose variances then grow by that of the start; infinite: none is.
+    """
 
     Q: Array
     R: Array
     P0: Array
+    gate: float = math.inf
 
 
 def tuned(plant: Plant, T: float) -> Tuning:
     """All of it from what the plant declares.
 
-    R: sd².  An attenuated disturbance is white, with the energy of its size at half a second of memory.  A fault walks
-    by its declared rate, else by its size in ten seconds, a decoupled disturbance by its size, per square root of a
-    second.  P0: ranges of the states, one where none is declared; sizes of faults and disturbances.
+    R: sd².  An attenuated disturbance is white, with the energy of its size at half a second of memory; one with role
+    "noise" is white of its size as it is.  A fault walks by its declared rate, else by its size in ten seconds, a
+    decoupled disturbance by its size, per square root of a second.  P0: ranges of the states, one where none is
+    declared; sizes of faults and disturbances.
     """
     from faultrecon.numerics.discretise import van_loan_covariance
 
@@ -53,9 +60,10 @@ def tuned(plant: Plant, T: float) -> Tuning:
     into = plant.E_w[:, [d.role != "decouple" for d in plant.attenuated]] * [d.size for d in attenuated]
     walks = [min(f.rate, 1e150) if np.isfinite(f.rate) else f.size / np.sqrt(10.0) for f in plant.faults]
     walks += [d.size for d in plant.attenuated if d.role == "decouple"]
-    noise = np.zeros((len(A), len(attenuated) + len(walks)))
-    noise[:n, : len(attenuated)] = into * np.sqrt(0.5)
-    noise[n:, len(attenuated) :] = np.diag(walks)
+    white = np.hstack([into * np.sqrt(0.5), _noises(plant)])
+    noise = np.zeros((len(A), white.shape[1] + len(walks)))
+    noise[:n, : white.shape[1]] = white
+    noise[n:, white.shape[1] :] = np.diag(walks)
     _, Q = van_loan_covariance(A, noise, np.eye(noise.shape[1]), T)
     assert plant.noise is not None, "the assumptions ask for it"
     sd = np.array(plant.noise.sd)
@@ -73,13 +81,34 @@ def drift(plant: Plant) -> Array:
     return A
 
 
+def _noises(plant: Plant) -> Array:
+    """What disturbances with role "noise" do to the states, (n, k), in their sizes."""
+    found = np.zeros((plant.n, len(plant.disturbances)))
+    for column, d in zip(found.T, plant.disturbances, strict=True):
+        for name, c in d.into.items() if d.role == "noise" else ():
+            column[plant.signals.x.index(name)] = c * d.size
+    return found[:, found.any(axis=0)]
+
+
+def scaling_faults(plant: Plant) -> NDArray[np.bool_]:
+    """Which faults multiply what their sensors show, (q,)."""
+    return np.array([f.effect == "multiplicative" and f.site == "sensor" for f in plant.faults], dtype=bool)
+
+
+def scaled(plant: Plant) -> NDArray[np.bool_]:
+    """Which sensors have a gain at fault, (p,)."""
+    return np.asarray((plant.F_f[:, scaling_faults(plant)] != 0).any(axis=1))
+
+
 def sensors(plant: Plant) -> Array:
-    """What the sensors show of s, (p, N)."""
-    return np.hstack([plant.C, plant.F_f, np.zeros((plant.p, decoupled_into(plant).shape[1]))])
+    """What the sensors show of s, (p, N); of a gain at fault, to first order at the operating point."""
+    F = plant.F_f * np.where(scaling_faults(plant), np.array(plant.point.y)[:, None], 1.0)
+    return np.hstack([plant.C, F, np.zeros((plant.p, decoupled_into(plant).shape[1]))])
 
 
-def filtering(plant: Plant, T: float, tuning: Tuning, steady: tuple[Array, Array], kind: Kind) -> Observer:
+def filtering(steps: Extended, steady: tuple[Array, Array]) -> Observer:
     """The observer; steady: A (N, N) and B (N, m+p) of the filter at rest, which its linear part then is."""
+    plant, tuning = steps.plant, steps.tuning
     n, q, m, p = plant.n, len(plant.faults), len(plant.signals.u), plant.p
     N = len(tuning.Q)
     nz = N + N * (N + 1) // 2
@@ -87,7 +116,7 @@ def filtering(plant: Plant, T: float, tuning: Tuning, steady: tuple[Array, Array
     A[:N, :N], B[:N] = steady
     free = np.full(nz + p, np.inf)
     direct = np.vstack([np.zeros((nz, m + p)), np.eye(p, m + p, m)])
-    graph = _graph(plant, T, tuning, steady, kind)
+    graph = _graph(steps, steady)
     return Observer(
         A=A,
         B=B,
@@ -100,7 +129,8 @@ def filtering(plant: Plant, T: float, tuning: Tuning, steady: tuple[Array, Array
         u0=np.array(plant.point.u),
         y0=np.array(plant.point.y),
         nonlinear=NonlinearTerm(np.eye(nz), np.eye(nz + p, nz), np.zeros(nz + p), -free, free, graph, direct),
-        sample_time=T,
+        sample_time=steps.T,
+        scales=tuple(int(j) for j in np.flatnonzero(scaling_faults(plant))),
     )
 
 
@@ -151,69 +181,176 @@ def flow(plant: Plant, T: float, s: Any, u: Any, y: Any, t: Any) -> Any:
     return ca.vertcat(x + (T / 6.0) * (k1 + 2.0 * k2 + 2.0 * k3 + k4), s[n:])
 
 
-# ---------------------------------------------------------------- the graph
-
-
-def _graph(plant: Plant, T: float, tuning: Tuning, steady: tuple[Array, Array], kind: Kind) -> Graph:
+def _graph(steps: Extended, steady: tuple[Array, Array]) -> Graph:
     """z at the next sample less its linear part, of [z; y - y0], u and t."""
     import casadi as ca
 
-    N, m = len(tuning.Q), len(plant.signals.u)
+    plant = steps.plant
+    N, m = len(steps.tuning.Q), len(plant.signals.u)
     triangle = [(i, j) for i in range(N) for j in range(i + 1)]
-    nz, carry = N + len(triangle), {"extended": _extended, "unscented": _unscented}[kind]
+    nz, start = N + len(triangle), steps.start()
     A, B = (ca.DM(M) for M in steady)
 
     def moved(argument: Any, u: Any, t: Any) -> Any:
         s, y = argument[:N], argument[nz:]
         P = ca.SX.zeros(N, N)
         for k, (i, j) in enumerate(triangle):
-            P[i, j] = P[j, i] = argument[N + k] + float(tuning.P0[i, j])
+            P[i, j] = P[j, i] = argument[N + k] + float(start[i, j])
         du = u - ca.DM(plant.point.u)
         linear = ca.mtimes(A, s) + ca.mtimes(B, ca.vertcat(du, y) if m else y)
-        s, P = _corrected(plant, tuning, s, P, y - ca.mtimes(ca.DM(plant.D), du))
-        s, P = carry(plant, T, s, P, u, y + ca.DM(plant.point.y), t)
-        P = P + ca.DM(tuning.Q - tuning.P0)
+        direct = ca.mtimes(ca.DM(plant.D), du)
+        s, P = steps.corrected(s, P, direct, y - direct)
+        s, P = steps.carried(s, P, u, y + ca.DM(plant.point.y), t)
+        P = P + (steps.drive(s) - ca.DM(start))
         return ca.vertcat(s - linear, *(P[i, j] for i, j in triangle))
 
     return Graph.trace(moved, {"x": nz + plant.p, "u": m, "t": 1})
 
 
-def _corrected(plant: Plant, tuning: Tuning, s: Any, P: Any, y: Any) -> tuple[Any, Any]:
-    """Mean and covariance after the measurements y - D u; a sensor that the sample lacked corrects nothing."""
-    import casadi as ca
-
-    for i, row in enumerate(sensors(plant)):
-        c = ca.sparsify(ca.DM(row)).T
-        off, Pc = y[i] - ca.mtimes(c, s), ca.mtimes(P, c.T)
-        seen = ca.if_else(ca.fabs(off) > UNSEEN * float(np.sqrt(tuning.R[i])), 1.0, 0.0)
-        share = seen / (ca.mtimes(c, Pc) + float(tuning.R[i]))
-        s, P = s + Pc * (share * off), _symmetric(P - share * ca.mtimes(Pc, Pc.T))
-    return s, P
+# ---------------------------------------------------------------- the two halves of a step
 
 
-def _extended(plant: Plant, T: float, s: Any, P: Any, u: Any, y: Any, t: Any) -> tuple[Any, Any]:
-    """The mean by the flow, the covariance by its slope there."""
-    import casadi as ca
+@dataclass(frozen=True, eq=False)
+class Extended:
+    """The extended filter for one plant, sample time T and tuning; other filters override what differs.
 
-    at = ca.SX.sym("at", s.numel())
-    moved = flow(plant, T, at, u, y, t)
-    slope = ca.jacobian(moved, at)
-    here, F = ca.substitute([moved, slope], [at], [s])
-    return here, _symmetric(ca.mtimes(ca.mtimes(F, P), F.T))
+    Symbols: s (N, 1), P (N, N), direct (p, 1) = D (u - u0), y (p, 1) measurements less y0 and `direct`.
+    """
+
+    plant: Plant
+    T: float
+    tuning: Tuning
+
+    def start(self) -> Array:
+        """P before the first sample, (N, N)."""
+        return self.tuning.P0
+
+    def drive(self, s: Any) -> Any:
+        """What one sample time adds to P, (N, N)."""
+        import casadi as ca
+
+        return ca.DM(self.tuning.Q)
+
+    def corrected(self, s: Any, P: Any, direct: Any, y: Any) -> tuple[Any, Any]:
+        """Mean and covariance after the measurements; a sensor that the sample lacked corrects nothing."""
+        import casadi as ca
+
+        before = s
+        for i, variance in enumerate(self.tuning.R):
+            lacking = y[i] - self.shown(i, before, direct)
+            seen = ca.if_else(ca.fabs(lacking) > UNSEEN * float(np.sqrt(variance)), 1.0, 0.0)
+            s, P = self.corrected_by(i, s, P, direct, y[i], seen)
+        return s, P
+
+    def corrected_by(self, i: int, s: Any, P: Any, direct: Any, y: Any, seen: Any) -> tuple[Any, Any]:
+        """Mean and covariance after sensor i; seen: 1, or 0 where it is to correct nothing."""
+        import casadi as ca
+
+        off, Pc, S = self.innovation(i, s, P, direct, y)
+        jumps = self.jumps(i, s)
+        if math.isfinite(self.tuning.gate) and jumps is not None:
+            jumped = seen * ca.if_else(off * off > self.tuning.gate * S, 1.0, 0.0)
+            P = P + jumped * jumps
+            off, Pc, S = self.innovation(i, s, P, direct, y)
+        share = seen / S
+        return self.pushed(s, Pc * (share * off)), symmetric(P - share * ca.mtimes(Pc, Pc.T))
+
+    def jumps(self, i: int, s: Any) -> Any:
+        """What a jump of its faults adds to P when sensor i shows one, (N, N); None where it has none."""
+        import casadi as ca
+
+        n, own = self.plant.n, np.zeros(len(self.tuning.Q))
+        own[n : n + len(self.plant.faults)] = self.plant.F_f[i] != 0
+        return ca.diag(ca.DM(own * np.diag(self.tuning.P0))) if own.any() else None
+
+    def pushed(self, s: Any, by: Any) -> Any:
+        """The mean after a correction."""
+        return s + by
+
+    def shown(self, i: int, s: Any, direct: Any) -> Any:
+        """What sensor i should show at s, less y0 and D (u - u0)."""
+        import casadi as ca
+
+        if not scaled(self.plant)[i]:
+            return ca.mtimes(row(sensors(self.plant)[i]), s)
+        n, q = self.plant.n, len(self.plant.faults)
+        h, gain = self.healthy(i, s, direct), self.gain(i, s)
+        added = row(self.plant.F_f[i] * ~scaling_faults(self.plant))
+        return gain * h + ca.mtimes(added, s[n : n + q]) - float(self.plant.point.y[i]) - direct[i]
+
+    def healthy(self, i: int, s: Any, direct: Any) -> Any:
+        """What sensor i would show without faults, absolute."""
+        import casadi as ca
+
+        return float(self.plant.point.y[i]) + direct[i] + ca.mtimes(row(self.plant.C[i]), s[: self.plant.n])
+
+    def gain(self, i: int, s: Any) -> Any:
+        """1 + F_m f of sensor i."""
+        import casadi as ca
+
+        n, F = self.plant.n, self.plant.F_f[i] * scaling_faults(self.plant)
+        return 1.0 + ca.mtimes(row(F), s[n : n + len(F)])
+
+    def innovation(self, i: int, s: Any, P: Any, direct: Any, y: Any) -> tuple[Any, Any, Any]:
+        """Of sensor i: the innovation, its covariance with s (N, 1), and its variance."""
+        import casadi as ca
+
+        c = row(sensors(self.plant)[i])
+        if scaled(self.plant)[i]:
+            at = ca.SX.sym("at", s.numel())
+            c = ca.substitute(ca.jacobian(self.shown(i, at, direct), at), at, s)
+        Pc = ca.mtimes(P, c.T)
+        return y - self.shown(i, s, direct), Pc, ca.mtimes(c, Pc) + float(self.tuning.R[i])
+
+    def carried(self, s: Any, P: Any, u: Any, y: Any, t: Any) -> tuple[Any, Any]:
+        """The mean by the flow, the covariance by its slope there; without what drives it."""
+        import casadi as ca
+
+        at = ca.SX.sym("at", s.numel())
+        moved = flow(self.plant, self.T, at, u, y, t)
+        slope = ca.jacobian(moved, at)
+        here, F = ca.substitute([moved, slope], [at], [s])
+        return here, symmetric(ca.mtimes(ca.mtimes(F, P), F.T))
 
 
-def _unscented(plant: Plant, T: float, s: Any, P: Any, u: Any, y: Any, t: Any) -> tuple[Any, Any]:
-    """Mean and covariance of 2 N + 1 points, each moved by the flow."""
-    import casadi as ca
+class Unscented(Extended):
+    """The unscented filter: 2 N + 1 points, each moved by the flow, and shown by sensors whose gain is at fault."""
 
+    def innovation(self, i: int, s: Any, P: Any, direct: Any, y: Any) -> tuple[Any, Any, Any]:
+        """Of the points that lie around s; a linear sensor needs none."""
+        if not scaled(self.plant)[i]:
+            return super().innovation(i, s, P, direct, y)
+        points, weights = _points(s, P)
+        read = [self.shown(i, point, direct) for point in points]
+        mean = sum(w * one for w, one in zip(weights, read, strict=True))
+        Pc = sum(w * (one - mean) * (point - s) for w, one, point in zip(weights, read, points, strict=True))
+        S = sum(w * (one - mean) * (one - mean) for w, one in zip(weights, read, strict=True))
+        return y - mean, Pc, S + float(self.tuning.R[i])
+
+    def carried(self, s: Any, P: Any, u: Any, y: Any, t: Any) -> tuple[Any, Any]:
+        """Mean and covariance of the points, each moved by the flow."""
+        import casadi as ca
+
+        points, weights = _points(s, P)
+        moved = [flow(self.plant, self.T, point, u, y, t) for point in points]
+        mean = sum(w * point for w, point in zip(weights, moved, strict=True))
+        off = [point - mean for point in moved]
+        return mean, symmetric(sum(w * ca.mtimes(e, e.T) for w, e in zip(weights, off, strict=True)))
+
+
+def _points(s: Any, P: Any) -> tuple[list[Any], list[float]]:
+    """2 N + 1 points around s with the covariance P, and their weights."""
     N = s.numel()
     spread = _cholesky(P) * float(np.sqrt(N / (1.0 - CENTRE)))
     points = [s, *(s + spread[:, i] for i in range(N)), *(s - spread[:, i] for i in range(N))]
-    weights = [CENTRE, *(2 * N * [(1.0 - CENTRE) / (2 * N)])]
-    moved = [flow(plant, T, point, u, y, t) for point in points]
-    mean = sum(w * point for w, point in zip(weights, moved, strict=True))
-    off = [point - mean for point in moved]
-    return mean, _symmetric(sum(w * ca.mtimes(e, e.T) for w, e in zip(weights, off, strict=True)))
+    return points, [CENTRE, *(2 * N * [(1.0 - CENTRE) / (2 * N)])]
+
+
+def row(values: Array) -> Any:
+    """A row of numbers, its zeros left out."""
+    import casadi as ca
+
+    return ca.sparsify(ca.DM(values)).T
 
 
 def _cholesky(P: Any) -> Any:
@@ -230,7 +367,7 @@ def _cholesky(P: Any) -> Any:
     return L
 
 
-def _symmetric(P: Any) -> Any:
+def symmetric(P: Any) -> Any:
     """The lower triangle, mirrored: rounding cannot make the two halves drift apart."""
     import casadi as ca
 

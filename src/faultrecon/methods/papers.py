@@ -28,8 +28,7 @@ BEZZAOUCHA_2013 = Paper(
     "Bezzaoucha, S.; Marx, B.; Maquin, D.; Ragot, J.",
     2013,
     "State and multiplicative sensor fault estimation for nonlinear systems",
-    "2nd International Conference on Control and Fault-Tolerant Systems (SysTol), 63-68",
-    "",
+    "2nd International Conference on Control and Fault-Tolerant Systems (SysTol), Nice",
 )
 
 TAN_2003 = Paper(

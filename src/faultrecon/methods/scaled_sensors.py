@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""What the observers for multiplicative sensor faults share: y = (1 + F f) h with h = C x, their scope and equations.
+"""What the observers for multiplicative sensor faults share: y = (1 + F f) h with h = C x, and their equations.
 
     y - ŷ = (1 + F f) C e_x + diag(ĥ) F e_f        e = (x - x̂, f - f̂),  ĥ what x̂ says the sensors should show
 
@@ -16,8 +16,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from faultrecon.diagnosis.existence import fault_findings
-from faultrecon.finding import Finding, InputError
 from faultrecon.graph.function import Graph
 from faultrecon.graph.observer import NonlinearTerm, Observer
 from faultrecon.plant.plant import Plant
@@ -25,118 +23,8 @@ from faultrecon.plant.sector import Sector
 
 Array = NDArray[np.float64]
 Ends = tuple[float, float]
-SEE = "Bezzaoucha 2013, re-derived"
 FADING = 0.01
 """Of the smallest reading in the box: below it a sensor shows nothing of its gain, and the estimate holds."""
-
-
-def scaling_findings(plant: Plant, *, form: bool = True) -> list[Finding]:
-    """What takes a plant out of the scope: sampled, faults that do not multiply, no polytopic form, readings near zero.
-
-    form: whether a polytopic form is needed at all.
-    """
-    if plant.sample_time is not None:
-        return [
-            Finding(
-                f"the plant is sampled every {plant.sample_time:g} s",
-                why="the method is stated for continuous time",
-                evidence={"sample_time": plant.sample_time},
-                remedies=("write the plant in continuous time, without sample_time",),
-                see=SEE,
-            )
-        ]
-    for f in plant.faults:
-        if f.site == "actuator" or f.effect == "additive":
-            return [
-                Finding(
-                    f"fault '{f.name}' is {f.effect} on a{'n' if f.site[0] == 'a' else ''} {f.site}",
-                    why="the method reconstructs the lost gain of a sensor, a multiplicative fault",
-                    evidence={"fault": f.name, "site": f.site, "effect": f.effect},
-                    remedies=('declare effect = "multiplicative" if the sensor loses gain', "use lipschitz-hinf"),
-                    see=SEE,
-                )
-            ]
-    found = fault_findings(plant)
-    if found:
-        return found
-    if plant.known is not None:
-        return [
-            Finding(
-                "the plant has a known term g(y, u, t)",
-                why="the method writes the whole right-hand side as a function of x and u",
-                evidence={"terms": plant.known.g.n_outputs},
-                remedies=("write the term in [nonlinearity], with the states that y reads",),
-                see=SEE,
-            )
-        ]
-    return (_form_findings(plant) or _reading_findings(plant)) if form else []
-
-
-def _form_findings(plant: Plant) -> list[Finding]:
-    if plant.polytopic is None:
-        return [
-            Finding(
-                f"{plant.name} declares no polytopic form",
-                why="the method is about the vertices of A(z) with z between its bounds",
-                evidence={"states": plant.n},
-                remedies=("add a [polytopic] table to the plant file",),
-                see=SEE,
-            )
-        ]
-    term = plant.nonlinearity
-    for name, (low, high) in {} if term is None else term.domain.items():
-        least, most = plant.polytopic.box[name]
-        if least < low or most > high:
-            return [
-                Finding(
-                    f"the box of {name} is [{least:g}, {most:g}], the domain of phi [{low:g}, {high:g}]",
-                    why="the observer keeps what phi reads in its domain, so beyond it the vertices are not its own",
-                    evidence={"state": name, "box": [least, most], "domain": [low, high]},
-                    remedies=("shrink polytopic.box", "widen nonlinearity.domain"),
-                    see=SEE,
-                )
-            ]
-    try:
-        return [f for f in Sector.of(plant).findings() if f.severity == "fatal"]
-    except InputError as error:
-        return [error.finding]
-
-
-def _reading_findings(plant: Plant) -> list[Finding]:
-    """A sensor that reads zero shows nothing of its gain."""
-    for i, (low, high) in enumerate(readings(plant)):
-        if plant.F_f[i].any() and low <= 0 <= high:
-            name = plant.signals.y.names[i]
-            return [
-                Finding(
-                    f"{name} may read zero in the box: there its gain cannot be seen",
-                    why=f"it reads between {low:.4g} and {high:.4g}, and a multiplicative fault moves zero by nothing",
-                    evidence={"sensor": name, "low": low, "high": high},
-                    remedies=("shrink the box of [polytopic]", f"add a sensor to compare {name} with"),
-                    see=SEE,
-                )
-            ]
-    return []
-
-
-def interval_warnings(plant: Plant) -> list[Finding]:
-    """Fault intervals that leave the healthy plant out."""
-    found = []
-    for f in plant.faults:
-        low, high = interval(plant, f.name, f.size)
-        if not low <= 0.0 <= high:
-            found.append(
-                Finding(
-                    f"the interval [{low:g}, {high:g}] of '{f.name}' does not contain 0",
-                    why="the healthy plant, and the estimate before the first sample, lie outside: nothing is covered"
-                    " there",
-                    evidence={"fault": f.name, "low": low, "high": high},
-                    remedies=(f"declare polytopic.faults.{f.name} = [{min(low, 0.0):g}, {max(high, 0.0):g}]",),
-                    see="Bezzaoucha 2013, section IV",
-                    severity="warning",
-                )
-            )
-    return found
 
 
 # ---------------------------------------------------------------- intervals and corners
@@ -166,6 +54,11 @@ def gains_between(plant: Plant) -> list[Ends]:
     up, down = np.maximum(plant.F_f, 0.0), np.minimum(plant.F_f, 0.0)
     low, high = 1.0 + up @ ends[:, 0] + down @ ends[:, 1], 1.0 + up @ ends[:, 1] + down @ ends[:, 0]
     return list(zip(map(float, low), map(float, high), strict=True))
+
+
+def own_rows(plant: Plant) -> list[int]:
+    """The sensor that each fault sits on."""
+    return [int(np.argmax(np.abs(column))) for column in plant.F_f.T]
 
 
 def innovation_corners(plant: Plant, *, divided: bool) -> list[Array]:
@@ -215,18 +108,44 @@ def innovation(plant: Plant, x: Any, f: Any, y: Any, u: Any, *, divided: bool) -
     """y - (1 + F f̂) ĥ, (p, 1) symbols; divided: by ĥ where a fault sits, and zero where ĥ has faded."""
     import casadi as ca
 
-    h = ca.DM(plant.point.y) + ca.DM(plant.C) @ (x - ca.DM(plant.point.x))
-    if len(plant.signals.u):
-        h = h + ca.DM(plant.D) @ (u - ca.DM(plant.point.u))
+    h = expected(plant, x, u)
     nu = y - (1.0 + ca.DM(plant.F_f) @ f) * h
     if not divided:
         return nu
     parts = []
-    for i, (low, high) in enumerate(readings(plant)):
-        least = FADING * min(abs(low), abs(high))
-        seen = ca.if_else(ca.fabs(h[i]) >= least, 1.0 / h[i], 0.0)
+    for i, least in enumerate(faded(plant)):
+        seen = ca.if_else(ca.fabs(h[i]) >= float(least), 1.0 / h[i], 0.0)
         parts.append(nu[i] * seen if plant.F_f[i].any() else nu[i])
     return ca.vertcat(*parts)
+
+
+def memberships(sector: Sector, x: Any, u: Any) -> list[Any]:
+    """The weight of every vertex at x̂ and u, symbols; premises beyond their bounds count as at the bound.
+
+    The weights of faults are never kept anywhere: (1 + F f̂) ĥ is written as it is, for any f̂.
+    """
+    import casadi as ca
+
+    z, found = sector.family.premises.symbolic(x, u), [ca.SX(1.0)]
+    for k, (low, high) in enumerate(sector.ends):
+        upper = (ca.fmin(ca.fmax(z[k], low), high) - low) / (high - low)
+        found = [weight * share for weight in found for share in (upper, 1.0 - upper)]
+    return found
+
+
+def expected(plant: Plant, x: Any, u: Any) -> Any:
+    """ĥ: what healthy sensors would show, (p, 1) symbols."""
+    import casadi as ca
+
+    h = ca.DM(plant.point.y) + ca.DM(plant.C) @ (x - ca.DM(plant.point.x))
+    return h + ca.DM(plant.D) @ (u - ca.DM(plant.point.u)) if len(plant.signals.u) else h
+
+
+def faded(plant: Plant) -> Array:
+    """Readings below which a sensor shows nothing of its gain, (p,)."""
+    if plant.polytopic is None:
+        return FADING * np.abs(plant.point.y)
+    return FADING * np.array([min(abs(a), abs(b)) for a, b in readings(plant)])
 
 
 def model(plant: Plant, x: Any, u: Any, t: Any) -> Any:

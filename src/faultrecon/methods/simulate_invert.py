@@ -20,7 +20,8 @@ from faultrecon.graph.function import Graph
 from faultrecon.graph.observer import Observer
 from faultrecon.methods.base import Unproved
 from faultrecon.methods.papers import BEZZAOUCHA_2013
-from faultrecon.methods.scaled_sensors import FADING, observer_of, readings, scaling_findings
+from faultrecon.methods.scaled_conditions import SEE, direct_findings, scaling_findings
+from faultrecon.methods.scaled_sensors import faded, observer_of
 from faultrecon.plant.plant import Plant
 from faultrecon.plant.sector import right_side
 
@@ -39,23 +40,14 @@ class SimulateInvert(Unproved):
         found = scaling_findings(plant, form=plant.polytopic is not None)
         if found:
             return found
-        direct = np.abs(plant.D[plant.F_f.any(axis=1)]).max(initial=0.0)
-        if direct > 0:
-            return [
-                Finding(
-                    "an input reaches a faulty sensor directly",
-                    why="what the sensor should show is read off the state alone",
-                    evidence={"entry of D": float(direct)},
-                    remedies=("add the actuator as a state", "use ts-mean-value"),
-                    see="Bezzaoucha 2013, re-derived",
-                )
-            ]
+        if direct := direct_findings(plant):
+            return direct
         try:
             slope = right_side(plant).jacobian("x")(plant.point.x, plant.point.u)
         except InputError as error:
             return [error.finding]
         slowest = float(np.linalg.eigvals(slope).real.max())
-        return [] if slowest < 0 else [_unstable(slowest)]
+        return _unused(plant) if slowest < 0 else [_unstable(slowest)]
 
     def gains_without_proof(self, plant: Plant) -> dict[str, Array]:
         """There is nothing to choose."""
@@ -71,7 +63,7 @@ class SimulateInvert(Unproved):
         chosen = _sensors(plant.F_f)
         F, C = plant.F_f[chosen], plant.C[chosen]
         y0, x0 = np.array(plant.point.y)[chosen], np.array(plant.point.x)
-        least = _least(plant)[chosen]
+        least = faded(plant)[chosen]
 
         def readout(f: Any, x: Any) -> Any:
             import casadi as ca
@@ -103,11 +95,23 @@ def _sensors(F: Array) -> NDArray[np.intp]:
     return np.sort(order[: F.shape[1]])
 
 
-def _least(plant: Plant) -> Array:
-    """Readings below which a sensor shows nothing of its gain, (p,)."""
-    if plant.polytopic is not None:
-        return FADING * np.array([min(abs(a), abs(b)) for a, b in readings(plant)])
-    return FADING * np.abs(plant.point.y)
+def _unused(plant: Plant) -> list[Finding]:
+    """Said where healthy sensors could correct the state: this baseline lets them be."""
+    healthy = [name for name, row in zip(plant.signals.y.names, plant.F_f, strict=True) if not row.any()]
+    if not healthy:
+        return []
+    return [
+        Finding(
+            f"{', '.join(healthy)} stays healthy and corrects nothing here"
+            if len(healthy) == 1
+            else f"{', '.join(healthy)} stay healthy and correct nothing here",
+            why="the model runs by itself: that is what the baseline is",
+            evidence={"healthy": healthy},
+            remedies=("use ts-mean-value or augmented-ekf, which take them in",),
+            see=SEE,
+            severity="warning",
+        )
+    ]
 
 
 def _unstable(slowest: float) -> Finding:
@@ -116,5 +120,5 @@ def _unstable(slowest: float) -> Finding:
         why=f"∂f/∂x has an eigenvalue with real part {slowest:.3g} at the operating point",
         evidence={"real part": slowest},
         remedies=("use ts-mean-value", "add a healthy sensor"),
-        see="Bezzaoucha 2013, re-derived",
+        see=SEE,
     )

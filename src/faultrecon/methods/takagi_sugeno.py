@@ -28,7 +28,8 @@ from faultrecon.graph.observer import Observer
 from faultrecon.lmi.expr import Expr, I, Inequality, __, given, let, sym, unknown, zeros
 from faultrecon.methods.base import Assumed, Identity, Method, Scaling, Theorem
 from faultrecon.methods.papers import BEZZAOUCHA_2013
-from faultrecon.methods.scaled_sensors import innovation, interval, interval_warnings, observer_of, scaling_findings
+from faultrecon.methods.scaled_conditions import interval_warnings, premise_warnings, scaling_findings
+from faultrecon.methods.scaled_sensors import innovation, interval, memberships, observer_of
 from faultrecon.plant.fault import Disturbance
 from faultrecon.plant.plant import Plant
 from faultrecon.plant.polytopic import corners
@@ -56,7 +57,8 @@ class TsPublished(Method):
         found = scaling_findings(plant)
         if found:
             return found
-        return [_disconnected(plant), *interval_warnings(plant), *Sector.of(plant).findings()]
+        sector = Sector.of(plant)
+        return [_disconnected(plant), *interval_warnings(plant), *premise_warnings(sector), *sector.findings()]
 
     def counted(self, plant: Plant) -> tuple[Disturbance, ...] | None:
         """None: the level counts x, f, f' and u, which persist."""
@@ -113,10 +115,7 @@ class TsPublished(Method):
         r = len(sector.vertices)
 
         def correction(x: Any, f: Any, y: Any, u: Any) -> Any:
-            z, μ = sector.family.premises.symbolic(x, u), [ca.SX(1.0)]
-            for k, (low, high) in enumerate(sector.ends):
-                upper = (ca.fmin(ca.fmax(z[k], low), high) - low) / (high - low)
-                μ = [w * share for w in μ for share in (upper, 1.0 - upper)]
+            μ = memberships(sector, x, u)
             ν = innovation(plant, x, f, y, u, divided=False)
             L, K, α = (sum((μ[i] * ca.DM(gains[f"{c}{i + 1}"]) for i in range(r)), ca.SX(0)) for c in "LKα")
             return ca.vertcat(L @ ν, K @ ν - α @ f)
