@@ -9,7 +9,7 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from datetime import datetime
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
@@ -20,6 +20,7 @@ from numpy.typing import ArrayLike, NDArray
 from faultrecon.finding import InputError, did_you_mean
 from faultrecon.io.tables import name_extension, numbers, place, read_table, seconds, shown
 from faultrecon.plant.signals import Signals
+from faultrecon.runtime.intake import Intake, Taken
 from faultrecon.storage.atomic import replacing
 
 if TYPE_CHECKING:
@@ -34,8 +35,9 @@ TIME_LIKE = re.compile(r"(t|tim|time|times|timestamp|zeit|date|datetime|sec|secs
 class Log:
     """One recording: N samples of m inputs and p measurements, absolute values in the plant's units.
 
-    t: (N,) seconds, strictly increasing; u: (N, m), y: (N, p), NaN where a value is missing.  extra: other numeric
-    columns, (N,) each, such as the true fault of a simulated recording; ignored: the columns that hold no numbers.
+    t: (N,) seconds, strictly increasing unless it was read as it came; u: (N, m), y: (N, p), NaN where a value is
+    missing.  extra: other numeric columns, (N,) each, such as the true fault of a simulated recording; ignored: the
+    columns that hold no numbers.
     start: the instant of the first row when the file gives dates.  missing: how many values are absent, by signal.
     """
 
@@ -67,11 +69,20 @@ class Log:
         )
 
 
-def read_log(path: str | os.PathLike[str], signals: Signals, *, mapping: Mapping[str, str] | None = None) -> Log:
+def read_log(
+    path: str | os.PathLike[str],
+    signals: Signals,
+    *,
+    mapping: Mapping[str, str] | None = None,
+    as_it_came: bool = False,
+) -> Log:
     """The recording in a .csv or .parquet file, its columns matched to the plant's signals by name.
 
     mapping: column by signal name, where they differ; 't' may be mapped too.  Times are seconds as they stand, or dates
     (ISO 8601 text or timestamps), then seconds from the first row.  Raises InputError naming file, column and row.
+
+    as_it_came: times may repeat, go back or be absent (NaN) and values be infinite, for an `Intake` to deal with; see
+    `orderly`.  Otherwise they are refused.
     """
     source = os.fspath(path)
     wanted = (*signals.u.names, *signals.y.names)
@@ -81,8 +92,9 @@ def read_log(path: str | os.PathLike[str], signals: Signals, *, mapping: Mapping
         raise InputError(
             f"{source}: is empty", why="it has a header and no rows", remedies=("record at least one sample",)
         )
-    t, start = _times(source, table, columns.time)
-    values = {name: _signal(source, table, columns.by_signal[name]) for name in dict.fromkeys(wanted)}
+    t, start = (_arrivals if as_it_came else _times)(source, table, columns.time)
+    read = numbers if as_it_came else _signal
+    values = {name: read(source, table, columns.by_signal[name]) for name in dict.fromkeys(wanted)}
     used = {columns.time, *columns.by_signal.values()}
     extra, ignored = _others(table, [name for name in table.column_names if name not in used])
     ours = {f"{name}_{end}" for name in signals.y.names for end in ("ok", "corrected")}  # written by a run before
@@ -99,6 +111,18 @@ def read_log(path: str | os.PathLike[str], signals: Signals, *, mapping: Mapping
         ignored,
         {name: count for name, count in missing.items() if count},
     )
+
+
+def orderly(log: Log, intake: Intake) -> tuple[Log, Taken]:
+    """A log read as it came, made fit for an estimator, and what became of each row and value.
+
+    Rows of the other columns are those that brought the time first.
+    """
+    taken = intake.whole(log.t, log.u, log.y)
+    extra = {name: values[taken.arrival] for name, values in log.extra.items()}
+    absent = np.isnan(np.hstack([taken.u, taken.y])).sum(axis=0).tolist()
+    missing = {name: count for name, count in zip(intake.names, absent, strict=True) if count}
+    return replace(log, t=taken.t, u=taken.u, y=taken.y, extra=extra, missing=missing), taken
 
 
 def write_log(path: str | os.PathLike[str], columns: Mapping[str, ArrayLike]) -> None:
@@ -269,3 +293,15 @@ def _times(source: str, table: pa.Table, column: str) -> tuple[Array, datetime |
             remedies=("sort the rows by time and keep one row per time",),
         )
     return t, start
+
+
+def _arrivals(source: str, table: pa.Table, column: str) -> tuple[Array, datetime | None]:
+    """Seconds per row as they stand, NaN where there is none; dates count from the first row that has one."""
+    given = table.column(column)
+    present = given.is_valid().to_numpy()
+    if present.all() or not present.any():
+        return seconds(source, table, column)
+    # Another row's time stands in, so that a date that cannot be read is still found in its own row.
+    filled = given.fill_null(given[int(np.argmax(present))])
+    t, start = seconds(source, table.set_column(table.column_names.index(column), column, filled), column)
+    return np.where(present, t, np.nan), start

@@ -6,8 +6,12 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from faultrecon.io.playback import Replay
+from faultrecon.plant.plant import Plant
+
+Array = NDArray[np.float64]
 
 GAP = 3.0
 """Sample times: a longer interval is told."""
@@ -44,15 +48,31 @@ def longest_gap(done: Replay) -> Gap | None:
 def doubts(done: Replay) -> tuple[str, ...]:
     """A sentence for every sign that time, a signal or a fault is in other units than the plant's."""
     plant, log = done.design.plant, done.log
+    found = [*unit_doubts(plant, log.t, log.u, log.y)]
+    units = dict(zip(plant.signals.y.names, plant.signals.y.units, strict=True))
+    for j, f in enumerate(plant.faults):
+        if ratio := _beyond(done.trace.fault[:, j], f.size):
+            size = _with(f.size, units.get(next(iter(f.on)), ""))
+            found.append(f"{f.name} is found to reach {ratio:.3g} times its declared size of {size}: are units mixed?")
+    return tuple(found)
+
+
+def unit_doubts(plant: Plant, t: Array, u: Array, y: Array) -> tuple[str, ...]:
+    """A sentence for every sign that time or a signal is in other units than the plant's.
+
+    t (N,), u (N, m), y (N, p), also as they came: in any order, with gaps, before limits took away what is beyond them.
+    """
     found = []
-    if plant.noise is not None and len(log) > 1:
-        interval, hold = float(np.median(np.diff(log.t))), plant.noise.hold
+    with np.errstate(over="ignore"):  # of clocks gone wild
+        intervals = np.diff(np.unique(t[np.isfinite(t)]))
+    if plant.noise is not None and intervals.size:
+        interval, hold = float(np.median(intervals)), plant.noise.hold
         if not 1 / FAR <= interval / hold <= FAR:
             found.append(
                 f"the log has a sample every {interval:.4g} s, the plant's noise is held {hold:.4g} s: "
                 "is the time in other units?"
             )
-    groups = ((plant.signals.u, plant.point.u, log.u), (plant.signals.y, plant.point.y, log.y))
+    groups = ((plant.signals.u, plant.point.u, u), (plant.signals.y, plant.point.y, y))
     for channels, point, values in groups:
         for name, unit, wide, rest, column in zip(
             channels.names, channels.units, channels.ranges, point, values.T, strict=True
@@ -62,11 +82,6 @@ def doubts(done: Replay) -> tuple[str, ...]:
                     f"{name} goes to {ratio:.3g} times its declared range of {_with(wide, unit)} around the operating "
                     f"point of {_with(rest, unit)}: is it in other units?"
                 )
-    units = dict(zip(plant.signals.y.names, plant.signals.y.units, strict=True))
-    for j, f in enumerate(plant.faults):
-        if ratio := _beyond(done.trace.fault[:, j], f.size):
-            size = _with(f.size, units.get(next(iter(f.on)), ""))
-            found.append(f"{f.name} is found to reach {ratio:.3g} times its declared size of {size}: are units mixed?")
     return tuple(found)
 
 
