@@ -33,6 +33,15 @@ class Form:
 
 
 @dataclass(frozen=True)
+class Columns:
+    """Where unknowns stand in a vector of `size` scalars, and the values of those that are held."""
+
+    held: Mapping[str, np.ndarray]
+    offsets: Mapping[str, int]
+    size: int
+
+
+@dataclass(frozen=True)
 class Problem:
     """Minimise an affine scalar subject to strict matrix inequalities, some unknowns held at given values.
 
@@ -65,9 +74,18 @@ class Problem:
         return held
 
     @cached_property
+    def _each(self) -> list[dict[str, Expr]]:
+        """The unknowns of each inequality."""
+        return [leaves([i.expr], "unknown") for i in self.inequalities]
+
+    @cached_property
     def _letters(self) -> dict[str, Expr]:
-        exprs = [i.expr for i in self.inequalities] + ([self.minimise] if self.minimise is not None else [])
-        return leaves(exprs, "unknown")
+        found: dict[str, Expr] = {}
+        for here in (*self._each, {} if self.minimise is None else leaves([self.minimise], "unknown")):
+            for name, leaf in here.items():
+                if found.setdefault(name, leaf) is not leaf:
+                    raise ShapeError(f"the letter {name} stands for two things in one statement")
+        return found
 
     @cached_property
     def offsets(self) -> dict[str, int]:
@@ -87,6 +105,16 @@ class Problem:
     def forms(self) -> list[Form]:
         """The positive side of each inequality as an affine form; slopes are arrays when `dense`, else sparse."""
         return [evaluate(i.positive, self._algebra, self._memo) for i in self.inequalities]
+
+    def local(self, k: int) -> tuple[Form, np.ndarray]:
+        """The positive side of inequality k as plain arrays in the unknowns that occur in it, and their numbers."""
+        here = self._each[k]
+        free = [name for name in here if name not in self.held]
+        spans = [self.offsets[name] + np.arange(freedom(here[name])) for name in free]
+        starts = np.cumsum([0, *(len(span) for span in spans)]).tolist()
+        own = Columns(self.held, dict(zip(free, starts, strict=False)), starts[-1])
+        form = evaluate(self.inequalities[k].positive, DenseAffineAlgebra(own), {})
+        return form, np.concatenate(spans) if spans else np.zeros(0, dtype=int)
 
     @cached_property
     def objective(self) -> Form | None:
@@ -146,7 +174,7 @@ def _index(leaf: Expr) -> np.ndarray:
 class AffineAlgebra:
     """Reads an expression as affine forms in the unknowns of a problem."""
 
-    def __init__(self, problem: Problem) -> None:
+    def __init__(self, problem: Problem | Columns) -> None:
         self.problem = problem
 
     def leaf(self, node: Expr) -> Form:
@@ -260,8 +288,7 @@ class DenseAffineAlgebra(AffineAlgebra):
         if b.slope is not None:
             return Form(constant, (a.constant @ b.slope.reshape(k, c * N)).reshape(r * c, N))
         if a.slope is not None:
-            spread = np.tensordot(a.slope.reshape(r, k, N), b.constant, axes=(1, 0))
-            return Form(constant, np.moveaxis(spread, 2, 1).reshape(r * c, N))
+            return Form(constant, (b.constant.T @ a.slope.reshape(r, k, N)).reshape(r * c, N))
         return Form(constant, None)
 
     def scale(self, s: Form, a: Form) -> Form:
@@ -270,18 +297,19 @@ class DenseAffineAlgebra(AffineAlgebra):
         return Form(s.constant[0, 0] * a.constant, a.constant.reshape(-1, 1) * s.slope)
 
     def block(self, rows: list[list[Form]]) -> Form:
-        constant = np.block([[b.constant for b in row] for row in rows])
-        if all(b.slope is None for row in rows for b in row):
-            return Form(constant, None)  # known matrices side by side are a known matrix
-        N = self.problem.size
-        slope = np.zeros((*constant.shape, N))
+        heights = [row[0].constant.shape[0] for row in rows]
+        shape = sum(heights), sum(b.constant.shape[1] for b in rows[0])
+        constant, N = np.empty(shape), self.problem.size
+        known = all(b.slope is None for row in rows for b in row)
+        slope = None if known else np.zeros((*shape, N))  # known matrices side by side are a known matrix
         at = 0
-        for row in rows:
+        for row, r in zip(rows, heights, strict=True):
             left = 0
             for b in row:
-                r, c = b.constant.shape
-                if b.slope is not None:
+                c = b.constant.shape[1]
+                constant[at : at + r, left : left + c] = b.constant
+                if slope is not None and b.slope is not None:
                     slope[at : at + r, left : left + c] = b.slope.reshape(r, c, N)
                 left += c
-            at += row[0].constant.shape[0]
-        return Form(constant, slope.reshape(constant.size, N))
+            at += r
+        return Form(constant, None if slope is None else slope.reshape(constant.size, N))

@@ -64,18 +64,51 @@ def conic_data(problem: Problem, margin: float = 0.0, near: np.ndarray | None = 
     from scipy import sparse
 
     units = np.ones(problem.size) if near is None else _units(problem, near)
+    if len(problem.inequalities) >= MANY:
+        return _many(problem, units, margin, near)
     none = np.zeros if problem.dense else sparse.csr_array
     blocks = [_svec(form, none((form.constant.size, problem.size)), margin, near) for form in problem.forms]
+    q = _costs(problem, units, near)
+    rows = [m for m, _, _ in blocks] or [none((0, problem.size))]
+    M = np.vstack(rows) * units if problem.dense else sparse.vstack(rows, format="csc") @ sparse.diags_array(units)
+    b = np.concatenate([rhs for _, rhs, _ in blocks] or [np.zeros(0)])
+    return ConicData(q, sparse.csc_array(M), b, tuple(n for _, _, n in blocks), units)
+
+
+MANY = 12
+"""Inequalities from which each is read in the unknowns that occur in it: vertices share few of them."""
+
+
+def _many(problem: Problem, units: np.ndarray, margin: float, near: np.ndarray | None) -> ConicData:
+    """The same, one inequality at a time as plain arrays in its own unknowns, put into columns of the whole."""
+    from scipy import sparse
+
+    data, where, columns, b, sizes, at = [], [], [], [], [], 0
+    for k in range(len(problem.inequalities)):
+        form, column = problem.local(k)
+        none = np.zeros((form.constant.size, len(column)))
+        rows, rhs, n = _svec(form, none, margin, None if near is None else near[column])
+        i, j = np.nonzero(rows)
+        data.append(rows[i, j] * units[column[j]])
+        where.append(i + at)
+        columns.append(column[j])
+        b.append(rhs)
+        sizes.append(n)
+        at += len(rhs)
+    M = sparse.csc_array(
+        (np.concatenate(data), (np.concatenate(where), np.concatenate(columns))), shape=(at, problem.size)
+    )
+    return ConicData(_costs(problem, units, near), M, np.concatenate(b), tuple(sizes), units)
+
+
+def _costs(problem: Problem, units: np.ndarray, near: np.ndarray | None) -> np.ndarray:
     q = np.zeros(problem.size)
     if problem.objective is not None and problem.objective.slope is not None:
         slope = problem.objective.slope
         q = (slope if problem.dense else slope.toarray()).ravel() * units
         if near is not None and q.any():
             q = q / np.abs(q).max()
-    rows = [m for m, _, _ in blocks] or [none((0, problem.size))]
-    M = np.vstack(rows) * units if problem.dense else sparse.vstack(rows, format="csc") @ sparse.diags_array(units)
-    b = np.concatenate([rhs for _, rhs, _ in blocks] or [np.zeros(0)])
-    return ConicData(q, sparse.csc_array(M), b, tuple(n for _, _, n in blocks), units)
+    return q
 
 
 def _units(problem: Problem, near: np.ndarray) -> np.ndarray:
