@@ -44,15 +44,15 @@ def speak_any_letter() -> None:
 def answer(as_json: bool, data: Mapping[str, Any], text: str) -> None:
     """Print the answer of a verb.  Raises InputError when the output takes no more."""
     try:
-        print(_json(data) if as_json else text, flush=True)  # unflushed, a full disk would only show at exit
+        print(json_text(data) if as_json else text, flush=True)  # unflushed, a full disk would only show at exit
     except BrokenPipeError:
         raise
     except OSError as error:
-        _abandon_output()
+        abandon_output()
         raise InputError("the output cannot be written", why=str(error.strerror or error)) from error
 
 
-def _json(data: Mapping[str, Any]) -> str:
+def json_text(data: Mapping[str, Any]) -> str:
     """JSON in readable letters where the output can hold them, in escapes where it cannot."""
     unicode = (sys.stdout.encoding or "").lower().replace("-", "") == "utf8"
     return json.dumps(plain(data), ensure_ascii=not unicode, indent=1)
@@ -67,9 +67,9 @@ def leave(
     """
     try:
         if as_json:
-            print(_json({"error": error.finding.as_dict(), **(also or {})}), flush=True)
+            print(json_text({"error": error.finding.as_dict(), **(also or {})}), flush=True)
     except OSError:  # nobody listens, or the disk is full; the exit code still tells
-        _abandon_output()
+        abandon_output()
     print(f"faultrecon: {text or error}", file=sys.stderr)
     raise SystemExit(error.exit_code)
 
@@ -82,7 +82,7 @@ def guarded(as_json: bool = False) -> Iterator[None]:
     except FaultreconError as error:
         leave(error, as_json)
     except BrokenPipeError:
-        _abandon_output()
+        abandon_output()
         raise SystemExit(FINE) from None
     except KeyboardInterrupt:
         print("faultrecon: interrupted; nothing half-written is left", file=sys.stderr)
@@ -107,7 +107,7 @@ def _internal(error: Exception) -> Finding:
     )
 
 
-def _abandon_output() -> None:
+def abandon_output() -> None:
     """Send what is still buffered nowhere, so that closing a broken output raises nothing at exit."""
     if sys.stdout is sys.__stdout__:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

@@ -24,6 +24,7 @@ Array = NDArray[np.float64]
 EXTENSIONS = (".csv", ".parquet")
 QUOTED = re.compile(r'"[^"]*"')
 DECIMAL_COMMA = re.compile(r"[-+]?\d+,\d+")
+PER_SECOND = {"s": 1, "ms": 10**3, "us": 10**6, "ns": 10**9}
 # Words that recorders and spreadsheets write for a value that is not there.
 ABSENT = ["", "nan", "NaN", "NAN", "-nan", "NA", "N/A", "#N/A", "null", "NULL", "None", "none"]
 
@@ -40,8 +41,14 @@ def name_extension(source: str) -> str:
 
 def read_table(source: str) -> pa.Table:
     """The whole file as a table; the columns of a CSV file are text still, unless they all read as numbers."""
+    start = first_bytes(source)
+    return _parquet(source) if name_extension(source) == ".parquet" else _csv(source, start)
+
+
+def first_bytes(source: str) -> bytes:
+    """How the file begins, 4 kB of it.  Raises InputError where there is no such file, or nothing in it."""
     file = Path(source)
-    extension = name_extension(source)
+    name_extension(source)
     try:
         if file.is_dir():
             raise InputError(f"{source}: is a folder, not a file", remedies=("name a file in it",))
@@ -54,10 +61,9 @@ def read_table(source: str) -> pa.Table:
                 f"{source}: is empty", why="the file has 0 bytes", remedies=("record at least one sample",)
             )
         with file.open("rb") as opened:
-            start = opened.read(4096)
+            return opened.read(4096)
     except OSError as error:
         raise InputError(f"{source}: cannot be read", why=error.strerror or str(error)) from error
-    return _parquet(source) if extension == ".parquet" else _csv(source, start)
 
 
 def _neighbour(file: Path) -> tuple[str, ...]:
@@ -77,31 +83,46 @@ def _parquet(source: str) -> pa.Table:
         table.validate(full=True)  # text that is not UTF-8 would only be met later, without its file
         return table
     except (pa.ArrowException, OSError, ValueError, MemoryError) as error:
-        raise InputError(
-            f"{source}: cannot be read as Parquet, the file is truncated, damaged or of another kind",
-            why=_first_line(error),
-            remedies=("copy the file again from where it was recorded",),
-        ) from error
+        raise unreadable_parquet(source, error) from error
+
+
+def unreadable_parquet(source: str, error: Exception) -> InputError:
+    """The complaint about a file that is no Parquet."""
+    return InputError(
+        f"{source}: cannot be read as Parquet, the file is truncated, damaged or of another kind",
+        why=_first_line(error),
+        remedies=("copy the file again from where it was recorded",),
+    )
 
 
 def _csv(source: str, start: bytes) -> pa.Table:
     import pyarrow as pa
     from pyarrow import csv
 
-    names, first = _head(source, start)
-    _refuse_other_separators(source)
-    # Columns that begin with a number are read as numbers at once.  Where a later cell is none, all is read again as
-    # text, slower, so that `numbers` can say which cell it is.
-    cells = dict(zip(names, first, strict=True))
-    likely = {name: pa.float64() if _reads_as_number(cell) else pa.string() for name, cell in cells.items()}
-    for types in (likely, dict.fromkeys(names, pa.string())):
+    likely, text = csv_types(source, start)
+    for types in (likely, text):
         options = csv.ConvertOptions(column_types=types, null_values=ABSENT, strings_can_be_null=True)
         try:
             table = csv.read_csv(source, convert_options=options)
             return table.rename_columns([name.strip() for name in table.column_names])
         except (pa.ArrowException, OSError) as error:
             problem = error
-    raise _unreadable_csv(source, problem) from problem
+    raise unreadable_csv(source, problem) from problem
+
+
+def csv_types(source: str, start: bytes) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Two ways to read a CSV file: the type of each column, by the name in the header.
+
+    Columns that begin with a number are read as numbers at once.  Where a later cell is none, all is read again as
+    text, slower, so that `numbers` can say which cell it is.  Raises InputError on what is no CSV text.
+    """
+    import pyarrow as pa
+
+    names, first = _head(source, start)
+    _refuse_other_separators(source)
+    cells = dict(zip(names, first, strict=True))
+    likely = {name: pa.float64() if _reads_as_number(cell) else pa.string() for name, cell in cells.items()}
+    return likely, dict.fromkeys(names, pa.string())
 
 
 def _reads_as_number(cell: str) -> bool:
@@ -127,7 +148,7 @@ def _head(source: str, start: bytes) -> tuple[list[str], list[str]]:
             first = next(rows, [])
             return names, [*first, *[""] * len(names)][: len(names)]
     except UnicodeDecodeError as error:
-        raise (_bad_byte(source) or _unreadable_csv(source, error)) from error
+        raise (_bad_byte(source) or unreadable_csv(source, error)) from error
     except (StopIteration, plain_csv.Error, OSError) as error:
         raise InputError(f"{source}:1  has no header", remedies=("begin with a line of column names",)) from error
 
@@ -175,7 +196,7 @@ def _bad_byte(source: str) -> InputError | None:
     return None
 
 
-def _unreadable_csv(source: str, error: Exception) -> InputError:
+def unreadable_csv(source: str, error: Exception) -> InputError:
     """The complaint about a table that does not hang together, with its row where a slow second look finds it."""
     import pyarrow as pa
     from pyarrow import csv
@@ -213,15 +234,18 @@ def _first_line(error: Exception) -> str:
 # ---------------------------------------------------------------- columns
 
 
-def numbers(source: str, table: pa.Table, column: str) -> Array:
-    """A column as (N,) floats, NaN where a cell is empty.  Raises InputError with the first cell that is no number."""
+def numbers(source: str, table: pa.Table, column: str, first: int = 0) -> Array:
+    """A column as (N,) floats, NaN where a cell is empty.  Raises InputError with the first cell that is no number.
+
+    first: which row of the file the table begins with.
+    """
     import pyarrow as pa
     import pyarrow.compute as pc
 
-    values = _plain(table.column(column))
+    values = plain_column(table.column(column))
     kind = values.type
     if pa.types.is_string(kind) or pa.types.is_large_string(kind):
-        values = _spelled(source, column, values)
+        values = _spelled(source, column, values, first)
     elif not (pa.types.is_integer(kind) or pa.types.is_floating(kind) or pa.types.is_decimal(kind)):
         if not (pa.types.is_boolean(kind) or pa.types.is_null(kind)):
             raise InputError(
@@ -233,7 +257,7 @@ def numbers(source: str, table: pa.Table, column: str) -> Array:
     return np.array(floats.fill_null(float("nan")).to_numpy(), dtype=np.float64)
 
 
-def _plain(values: Any) -> Any:
+def plain_column(values: Any) -> Any:
     """The column without dictionary encoding, text of any width as ordinary text."""
     import pyarrow as pa
     import pyarrow.compute as pc
@@ -243,7 +267,7 @@ def _plain(values: Any) -> Any:
     return pc.cast(values, pa.string()) if str(values.type) in ("string_view", "large_string") else values
 
 
-def _spelled(source: str, column: str, values: Any) -> Any:
+def _spelled(source: str, column: str, values: Any, first: int) -> Any:
     """Text as numbers; a cell that says it is absent is null."""
     import pyarrow as pa
     import pyarrow.compute as pc
@@ -254,14 +278,14 @@ def _spelled(source: str, column: str, values: Any) -> Any:
     try:
         return pc.cast(text, pa.float64())
     except pa.ArrowInvalid as error:
-        row = _first_unlike(text, pa.float64())
+        row = first_unlike(text, pa.float64())
         raise InputError(
-            f"{place(source, column, row)} is {text[row].as_py()!r:.60}, not a number",
+            f"{place(source, column, first + row)} is {text[row].as_py()!r:.60}, not a number",
             remedies=("correct the cell, or leave it empty where there is no value",),
         ) from error
 
 
-def _first_unlike(text: Any, kind: Any) -> int:
+def first_unlike(text: Any, kind: Any) -> int:
     """The first row that does not read as this kind of value, by halving."""
     import pyarrow as pa
     import pyarrow.compute as pc
@@ -283,32 +307,62 @@ def _first_unlike(text: Any, kind: Any) -> int:
 def seconds(source: str, table: pa.Table, column: str) -> tuple[Array, datetime | None]:
     """A time column in seconds: numbers as they stand, dates from the first row, whose date comes second."""
     import pyarrow as pa
-    import pyarrow.compute as pc
 
-    values = _plain(table.column(column))
+    values = plain_column(table.column(column))
     if pa.types.is_string(values.type):
         values = _instants(source, column, values)
+    t, since = elapsed(source, column, values)
+    if since is None:
+        return t, None
+    return t, _date(source, column, values.type, since)
+
+
+def elapsed(
+    source: str, column: str, values: Any, since: int | None = None, first: int = 0
+) -> tuple[Array, int | None]:
+    """Times in seconds: numbers as they stand; dates from `since`, in ticks of their unit, or from their first.
+
+    The instant they count from comes second, None for numbers.  first: which row of the file the values begin with.
+    """
+    import pyarrow as pa
+    import pyarrow.compute as pc
+
     if pa.types.is_date(values.type):
         values = pc.cast(values, pa.timestamp("s"))
     if not pa.types.is_timestamp(values.type):
-        return numbers(source, pa.table({column: values}), column), None
-    absent = values.is_null().to_numpy()
+        return numbers(source, pa.table({column: values}), column, first), None
+    absent = values.is_null().to_numpy(zero_copy_only=False)
     if absent.any():
-        row = int(np.argmax(absent))
+        row = first + int(np.argmax(absent))
         raise InputError(f"{place(source, column, row)} has no time", remedies=("give every row a time",))
-    per_second = {"s": 1, "ms": 10**3, "us": 10**6, "ns": 10**9}[values.type.unit]
     ticks = pc.cast(values, pa.int64()).to_numpy()
-    since = int(ticks[0])
+    since = int(ticks[0]) if since is None else since
+    # Differences of whole ticks are exact; only the division rounds.
+    return (ticks - since) / float(PER_SECOND[values.type.unit]), since
+
+
+def _date(source: str, column: str, kind: Any, since: int) -> datetime:
+    """The instant that many ticks after 1970; kind: Arrow's type of the column."""
+    unit, zone = ("s", None) if str(kind).startswith("date") else (kind.unit, kind.tz)
     try:
-        start = datetime.fromtimestamp(0, UTC) + timedelta(microseconds=since * 10**6 // per_second)
+        start = datetime.fromtimestamp(0, UTC) + timedelta(microseconds=since * 10**6 // PER_SECOND[unit])
     except OverflowError as error:
         raise InputError(
-            f"{place(source, column, 0)} is {since} {values.type.unit} after 1970",
+            f"{place(source, column, 0)} is {since} {unit} after 1970",
             why="that is no date",
             remedies=("give seconds or dates",),
         ) from error
-    # Differences of whole ticks are exact; only the division rounds.
-    return (ticks - since) / float(per_second), start if values.type.tz else start.replace(tzinfo=None)
+    return start if zone else start.replace(tzinfo=None)
+
+
+def time_kinds() -> list[Any]:
+    """What a column of text may mean as times, the first that fits all of it: numbers, dates, dates with offsets.
+
+    Nanoseconds reach from 1678 to 2262; microseconds serve the clocks that were never set.
+    """
+    import pyarrow as pa
+
+    return [pa.float64(), *(pa.timestamp(unit, zone) for unit in ("ns", "us") for zone in (None, "UTC"))]
 
 
 def _instants(source: str, column: str, values: Any) -> Any:
@@ -317,15 +371,18 @@ def _instants(source: str, column: str, values: Any) -> Any:
     import pyarrow.compute as pc
 
     text = pc.call_function("utf8_trim_whitespace", [values])
-    # Nanoseconds reach from 1678 to 2262; microseconds serve the clocks that were never set.
-    kinds = [pa.float64(), *(pa.timestamp(unit, zone) for unit in ("ns", "us") for zone in (None, "UTC"))]
+    kinds = time_kinds()
     for kind in kinds:
         with suppress(pa.ArrowInvalid):
             return pc.cast(text, kind)
-    row = max(_first_unlike(text, kind) for kind in kinds)
-    kind_of_time = "a time like those above" if row else "a time"
-    raise InputError(
-        f"{place(source, column, row)} is {text[row].as_py()!r:.60}, not {kind_of_time}",
+    row = max(first_unlike(text, kind) for kind in kinds)
+    raise no_time(source, column, row, text[row].as_py())
+
+
+def no_time(source: str, column: str, row: int, text: str | None) -> InputError:
+    """The complaint about a cell that is no time, or none like those before it."""
+    return InputError(
+        f"{place(source, column, row)} is {text!r:.60}, not {'a time like those above' if row else 'a time'}",
         remedies=("give seconds, or ISO 8601 times such as 2026-03-01T12:00:00.020Z, in every row",),
     )
 
