@@ -23,6 +23,8 @@ _DOOR = {
     "diagnose": "faultrecon.diagnosis.diagnosis",
     "design": "faultrecon.advise.designing",
     "optimum": "faultrecon.synthesis.pipeline",
+    "bank": "faultrecon.synthesis.bank",
+    "watch": "faultrecon.io.watched",
     "list_methods": "faultrecon.methods.registry",
     "cite": "faultrecon.methods.registry",
     "verify": "faultrecon.certificate",
@@ -53,6 +55,9 @@ _DOOR = {
     "Certificate": "faultrecon.certificate",
     "Diagnosis": "faultrecon.diagnosis.diagnosis",
     "Estimator": "faultrecon.runtime.estimator",
+    "Bank": "faultrecon.synthesis.bank",
+    "Monitor": "faultrecon.runtime.monitor",
+    "Intake": "faultrecon.runtime.intake",
     "Log": "faultrecon.io.logs",
     "Finding": "faultrecon.finding",
     "FaultreconError": "faultrecon.finding",
@@ -62,6 +67,7 @@ _DOOR = {
 }
 
 __all__ = [
+    "Bank",
     "Certificate",
     "Channels",
     "Design",
@@ -75,8 +81,10 @@ __all__ = [
     "Impossible",
     "Inconclusive",
     "InputError",
+    "Intake",
     "Lipschitz",
     "Log",
+    "Monitor",
     "Noise",
     "OperatingPoint",
     "Plant",
@@ -84,6 +92,7 @@ __all__ = [
     "Scenario",
     "Signals",
     "__version__",
+    "bank",
     "best",
     "cite",
     "compare",
@@ -108,6 +117,7 @@ __all__ = [
     "simulate",
     "study",
     "verify",
+    "watch",
     "why_not",
     "write_log",
 ]
@@ -126,6 +136,7 @@ if TYPE_CHECKING:
     from faultrecon.io.library import library_names
     from faultrecon.io.logs import Log, read_log, write_log
     from faultrecon.io.playback import reconstruct, replay
+    from faultrecon.io.watched import watch
     from faultrecon.methods.registry import cite, list_methods
     from faultrecon.plant.derive import discretised, equilibrium, linearise, linearised
     from faultrecon.plant.fault import Disturbance, FaultChannel
@@ -133,10 +144,13 @@ if TYPE_CHECKING:
     from faultrecon.plant.plant import OperatingPoint, Plant
     from faultrecon.plant.signals import Channels, Noise, Signals
     from faultrecon.runtime.estimator import Estimator
+    from faultrecon.runtime.intake import Intake
+    from faultrecon.runtime.monitor import Monitor
     from faultrecon.simulation.metrics import score
     from faultrecon.simulation.run import Run, simulate
     from faultrecon.simulation.scenario import Scenario
     from faultrecon.simulation.study import study
+    from faultrecon.synthesis.bank import Bank, bank
     from faultrecon.synthesis.pipeline import optimum
     from faultrecon.synthesis.result import Design
 

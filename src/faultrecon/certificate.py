@@ -262,8 +262,8 @@ def _check(step: Step, letters: Mapping[str, Dyadic], algebra: DyadicAlgebra) ->
     )
 
 
-def read_document(path: str) -> dict[str, Any]:
-    """A design file as plain values.  Raises InputError on a file that is not one."""
+def read_document(path: str, kind: str = "design") -> dict[str, Any]:
+    """A design file (or one of another kind) as plain values.  Raises InputError on a file that is not one."""
     try:
         with open(path, encoding="utf-8") as file:
             document = json.load(file)
@@ -271,12 +271,12 @@ def read_document(path: str) -> dict[str, Any]:
         raise InputError(f"{path}: cannot be read", why=str(error.strerror or error)) from error
     except (UnicodeDecodeError, json.JSONDecodeError, RecursionError) as error:
         raise InputError(
-            f"{path}: is no design file", why=f"it is no JSON: {error}", remedies=("write one: faultrecon design",)
+            f"{path}: is no {kind} file", why=f"it is no JSON: {error}", remedies=("write one: faultrecon design",)
         ) from error
-    if not isinstance(document, dict) or document.get("kind") != "faultrecon-design":
+    if not isinstance(document, dict) or document.get("kind") != f"faultrecon-{kind}":
         raise InputError(
-            f"{path}: is no design file",
-            why='its "kind" is not "faultrecon-design"',
+            f"{path}: is no {kind} file",
+            why=f'its "kind" is not "faultrecon-{kind}"',
             remedies=("write one: faultrecon design",),
         )
     return document

@@ -42,6 +42,9 @@ LONG_FILES: dict[str, str] = {}
 
 LONG_FUNCTIONS: dict[str, str] = {
     "synthesis/pipeline.py:design": "half is its signature and docstring; the order of the stages is one thought",
+    "runtime/watch.py:_watch": "one pass over the samples, compiled as it stands: a call per sample and test costs",
+    "cli/app.py:design": "its signature is the command line",
+    "cli/app.py:run": "its signature is the command line",
 }
 """Functions of 60 lines or more, each with a reason."""
 
@@ -159,6 +162,7 @@ SAMPLED = {
 def test_methods_never_import_each_other():
     machinery = {
         "base",
+        "fault_state",
         "papers",
         "registry",
         "regular_form",

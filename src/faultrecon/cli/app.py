@@ -34,6 +34,9 @@ def new(
         answer(as_json, {"written": str(path)}, f"wrote {path}; edit it, then: faultrecon check {path}")
 
 
+DEFAULT = "lipschitz-hinf"
+
+
 @app.command()
 def check(
     plant: PlantName,
@@ -47,6 +50,9 @@ def check(
             "--sensor", help="Rank a sensor that could be added: 'name on state=coefficient noise=size'; repeatable."
         ),
     ] = None,
+    log: Annotated[
+        str, typer.Option("--log", help="Where the plant goes (.csv, .parquet), for faults that multiply a sensor.")
+    ] = "",
     as_json: Json = False,
 ) -> None:
     """Can these faults be reconstructed, and if not, why not? Which methods apply?"""
@@ -55,7 +61,7 @@ def check(
 
         model = plant_named(plant)
         model = model.with_faults(faults) if faults else model
-        possible, data, text = examined(model, sensors, sensor or (), as_json=as_json)
+        possible, data, text = examined(model, sensors, sensor or (), as_json=as_json, log=log)
         answer(as_json, data, text)
         if not possible:
             raise SystemExit(NEGATIVE)
@@ -66,7 +72,7 @@ def design(
     plant: PlantName,
     method: Annotated[
         str, typer.Option("--method", "-m", help="See `faultrecon methods`; 'best' compares them.")
-    ] = "lipschitz-hinf",
+    ] = DEFAULT,
     out: Annotated[
         Path | None,
         typer.Option("--out", "-o", help="Where to write the design file (.json)."),
@@ -87,15 +93,41 @@ def design(
         list[str] | None,
         typer.Option("--free", help="Set an unknown free that the method holds, for example K1."),
     ] = None,
+    of_all: Annotated[
+        bool, typer.Option("--bank", help="A design for each sensor that may fail, to find out which one does.")
+    ] = False,
+    actuator: Annotated[
+        list[str] | None, typer.Option("--actuator", help="With --bank: an input that may fail too; repeatable.")
+    ] = None,
+    together: Annotated[
+        list[str] | None, typer.Option("--together", help="With --bank: faults that may act at once, a+b; repeatable.")
+    ] = None,
     as_json: Json = False,
 ) -> None:
     """Find gains, back off, round, prove, and write the design with its certificate.
 
-    Where there is no design, say why, and what would help.
+    Where there is no design, say why, and what would help.  With --bank, do so for every sensor, or those of --fault.
     """
     with guarded(as_json):
         from faultrecon.cli.designing import make_design
         from faultrecon.io.designfile import target, write_design
+
+        if of_all or actuator or together:
+            from faultrecon.cli.monitoring import make_bank
+            from faultrecon.cli.shell import stages
+
+            with stages("designing") as tell:
+                data, text = make_bank(
+                    plant_named(plant),
+                    out,
+                    faults,
+                    actuator or (),
+                    together or (),
+                    "" if method == DEFAULT else method,
+                    tell,
+                )
+            answer(as_json, data, text)
+            return
 
         if out is not None:
             target(out)  # an unsuitable name is refused before the work, not after it
@@ -166,10 +198,19 @@ def verify(
             raise SystemExit(NEGATIVE)
 
 
+Checkpoint = Annotated[
+    Path | None,
+    typer.Option(help="Run the log a piece at a time, and keep in this file where the run stands."),
+]
+Resume = Annotated[bool, typer.Option("--resume", help="Go on from the checkpoint, if it is there.")]
+Every = Annotated[float, typer.Option(help="Seconds between checkpoints.")]
+Format = Annotated[str, typer.Option("--format", help="Of a stream: json, csv, or auto, by its first line.")]
+
+
 @app.command()
 def run(
-    file: Annotated[str, typer.Argument(metavar="DESIGN", help="A design file (.json).")],
-    log: Annotated[str, typer.Argument(help="A recorded log (.csv or .parquet).")],
+    file: Annotated[str, typer.Argument(metavar="DESIGN", help="A design, or a bank of designs (.json).")],
+    log: Annotated[str, typer.Argument(help="A recorded log (.csv or .parquet), or - for lines on standard input.")],
     out: Annotated[
         Path | None,
         typer.Option("--out", "-o", help="Where to write faults, corrected measurements and flags (.csv, .parquet)."),
@@ -191,22 +232,34 @@ def run(
         list[str] | None,
         typer.Option("--column", help="signal=column where names differ; repeat for several."),
     ] = None,
+    crest: Annotated[
+        float, typer.Option(help="Of a bank: how far disturbances may go beyond their declared size.")
+    ] = 3.0,
+    false_alarms: Annotated[float, typer.Option(help="Of a bank: per hour, at most, from noise.")] = 0.01,
+    policy: Annotated[
+        str, typer.Option(help="Of a bank: correct, hold, refuse or pass a sensor that is named.")
+    ] = "correct",
+    reorder: Annotated[float, typer.Option(help="Of a bank: seconds that rows wait for late ones.")] = 0.0,
+    checkpoint: Checkpoint = None,
+    resume: Resume = False,
+    every: Every = 5.0,
+    form: Format = "auto",
     as_json: Json = False,
 ) -> None:
-    """Reconstruct the faults in a recorded log and take them out of the measurements."""
+    """Reconstruct the faults in a recorded log, or in samples as they come, and take them out of the measurements."""
     with guarded(as_json):
-        from faultrecon.cli.replaying import run_log
+        from faultrecon.cli.keeping import Keeping
+        from faultrecon.cli.replaying import run_log, run_stdin
 
+        keeping, names = Keeping(checkpoint, resume, every), _mapping(column or [])
+        options: dict[str, object] = {"hold": hold, "scheme": scheme, "sample_time": sample_time}
+        options |= {"crest": crest, "false_alarms": false_alarms, "policy": policy, "reorder": reorder}
+        belongs = plant_named(plant) if plant else None
+        if log == "-":
+            run_stdin(file, out or figure, belongs, form, names, options, keeping, as_json)
+            return
         with bar("reconstructing") as tell:
-            data, text = run_log(
-                file,
-                log,
-                out=out,
-                figure=figure,
-                plant=plant_named(plant) if plant else None,
-                mapping=_mapping(column or []),
-                options={"hold": hold, "scheme": scheme, "sample_time": sample_time, "progress": tell},
-            )
+            data, text = run_log(file, log, out, figure, belongs, form, names, options, keeping, tell)
         answer(as_json, data, text)
 
 
@@ -226,19 +279,23 @@ def _mapping(pairs: list[str]) -> dict[str, str]:
 
 @app.command()
 def demo(
-    name: Annotated[str, typer.Argument(help="Which demonstration: airliner or fighter.")] = "airliner",
+    name: Annotated[str, typer.Argument(help="Which demonstration: airliner, fighter or which-sensor.")] = "airliner",
     out: Annotated[Path, typer.Option("--out", "-o", help="Folder for figures, corrected log and design.")] = Path(
         "faultrecon-demo"
     ),
     as_json: Json = False,
 ) -> None:
-    """Reconstruct sensor faults in flights that ship with the package; the fighter's gyro fails inside its loop."""
+    """Reconstruct sensor faults in flights that ship with the package; the fighter's gyro fails inside its loop.
+
+    which-sensor: find out which sensor lies in each of the airliner's flights, without being told.
+    """
     with guarded(as_json):
         from faultrecon.advise.airliner import airliner_demo
         from faultrecon.advise.fighter import fighter_demo
+        from faultrecon.advise.which_sensor import which_sensor_demo
         from faultrecon.finding import InputError, did_you_mean
 
-        known = {"airliner": airliner_demo, "fighter": fighter_demo}
+        known = {"airliner": airliner_demo, "fighter": fighter_demo, "which-sensor": which_sensor_demo}
         if name not in known:
             raise InputError(f"there is no demonstration '{name}'", why=did_you_mean(name, known))
         with bar(f"{name} logs") as tell:

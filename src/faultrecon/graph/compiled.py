@@ -5,9 +5,11 @@ from __future__ import annotations
 
 import hashlib
 import importlib.util
+import inspect
 import math
 import os
 import platform
+import re
 import sys
 import threading
 import warnings
@@ -88,6 +90,16 @@ def load(program: Program) -> Kernels:
                 sys.modules.pop(_module_name(dropped), None)
             _held[program.digest] = found
     return found
+
+
+def plain_text(function: Callable[..., Any], **constants: float) -> str:
+    """The source of a function of this package as a program takes it: annotations off, named constants put in."""
+    head, body = inspect.getsource(function).split('"""', 1)
+    arguments = ", ".join(inspect.signature(function).parameters)
+    text = f"{head[: head.index('(')]}({arguments}):\n    \"\"\"{body}"
+    for name, value in constants.items():
+        text = re.sub(rf"\b{name}\b", repr(value), text)
+    return text
 
 
 def forget() -> None:

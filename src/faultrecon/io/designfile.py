@@ -60,11 +60,21 @@ def write_design(design: Design, path: str | os.PathLike[str]) -> None:
     Raises InputError, and writes nothing, when the certificate does not hold or the place takes no file.
     """
     file = target(path)
+    demand_sound(design, str(file))
+    write_document(design_document(design), file)
+
+
+def demand_sound(design: Design, name: str) -> None:
+    """Raises InputError when the certificate does not hold."""
     found = design.verification
     if found is not None and not found.sound:
         refuted = next(s for s in found.steps if s.verdict == "refuted")
-        raise InputError(f"{file}: this design is not certified", why=str(refuted))
-    text = json.dumps(design_document(design), indent=1, ensure_ascii=False, allow_nan=False) + "\n"
+        raise InputError(f"{name}: this design is not certified", why=str(refuted))
+
+
+def write_document(document: Mapping[str, Any], file: Path) -> None:
+    """Write plain values as JSON, whole or not at all.  Raises InputError when the place takes no file."""
+    text = json.dumps(document, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
     try:
         write_text(file, text)
     except OSError as error:
@@ -77,7 +87,11 @@ def read_design(path: str | os.PathLike[str], plant: Plant | None = None) -> Des
     Raises InputError naming the file when it is damaged, of another plant, of a newer schema, or refuted.
     """
     source = os.fspath(path)
-    document = read_document(source)
+    return design_of(read_document(source), source, plant)
+
+
+def design_of(document: Mapping[str, Any], source: str, plant: Plant | None = None) -> Design:
+    """A design from plain values; as `read_design`, source being the name that errors give."""
     try:
         if document.get("schema") != SCHEMA:
             raise InputError(

@@ -9,6 +9,7 @@ Variables, by name; p sensors, n states, m inputs.  Only A and C are needed, the
     x_names u_names y_names   cell arrays of text; absent: x1.., u1.., y1..
     x_units u_units y_units   cell arrays of text
     x_ranges u_ranges y_ranges   expected deviations, NaN where undeclared
+    u_limits y_limits         lowest and highest value that each device puts out, (k, 2); infinite where there is none
     x0 u0 y0                  operating point; absent: zero
     noise                     struct: hold (s), sd (p)
     faults                    struct array: name, site, effect, size, rate, signals (cell), coefficients
@@ -25,6 +26,7 @@ import io
 import math
 import os
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, NoReturn, cast
 
@@ -47,6 +49,7 @@ NUMERIC = frozenset(
 KINDS: Mapping[str, frozenset[str]] = {
     **dict.fromkeys(("A", "B", "C", "D", "Ts", "x0", "u0", "y0", "faultrecon_schema"), NUMERIC),
     **{f"{g}_ranges": NUMERIC for g in GROUPS},
+    **{f"{g}_limits": NUMERIC for g in GROUPS},
     **{f"{g}_{what}": frozenset({"cell", "char"}) for g in GROUPS for what in ("names", "units")},
     **dict.fromkeys(("name", "source"), frozenset({"char"})),
     **dict.fromkeys(("noise", "faults", "disturbances"), frozenset({"struct"})),
@@ -96,6 +99,8 @@ def _variables(plant: Plant) -> dict[str, Any]:
         channels: Channels = getattr(plant.signals, group)
         out[f"{group}_names"], out[f"{group}_units"] = _cells(channels.names), _cells(channels.units)
         out[f"{group}_ranges"] = np.array(channels.ranges, dtype=float).reshape(-1, 1)
+        if channels.limited():
+            out[f"{group}_limits"] = np.array(channels.limits, dtype=float)
         out[f"{group}0"] = np.array(getattr(plant.point, group), dtype=float).reshape(-1, 1)
     if plant.noise is not None:
         out["noise"] = {"hold": plant.noise.hold, "sd": np.array(plant.noise.sd).reshape(-1, 1)}
@@ -286,15 +291,25 @@ def _channels(at: Mapping[str, Place], group: str, size: int) -> Channels:
     def given(what: str) -> Place | None:
         return at.get(f"{group}_{what}")
 
-    names, units, ranges = given("names"), given("units"), given("ranges")
+    names, units, ranges, limits = (given(what) for what in ("names", "units", "ranges", "limits"))
     texts = tuple(f"{group}{k + 1}" for k in range(size)) if names is None else names.texts(size)
     if names is not None and units is None:  # "theta [rad]" says both
-        return Channels.declared(texts, {})
-    return Channels(
-        texts,
-        () if units is None else units.texts(size),
-        () if ranges is None else ranges.vector(size, finite=False),
+        plain = Channels.declared(texts)
+    else:
+        plain = Channels(texts, () if units is None else units.texts(size))
+    return replace(
+        plain,
+        ranges=() if ranges is None else ranges.vector(size, finite=False),
+        limits=() if limits is None else _limits(limits, size),
     )
+
+
+def _limits(place: Place, size: int) -> tuple[tuple[float, float], ...]:
+    """The lowest and the highest value of each signal."""
+    pairs = place.matrix(finite=False)
+    if pairs.shape != (size, 2):
+        place.refuse(f"is {pairs.shape}", f"it has a row for each of {size} signals: [low, high]")
+    return tuple((float(low), float(high)) for low, high in pairs)
 
 
 def _noise(place: Place, sensors: int) -> Noise:

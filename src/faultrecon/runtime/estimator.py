@@ -106,6 +106,9 @@ class Estimator:
         is a noise tuning knob: no larger than the fault needs, since it is what noise can move the state by per second.
         Raises InputError, before anything runs, when RK4 is asked for beyond its stability limit.
         """
+        for name, value in (("sample time", sample_time), ("bound", bound), ("layer", layer)):
+            if any(isinstance(v, bool | np.bool_) for v in np.ravel(np.array(value, dtype=object))):
+                raise InputError(f"the {name} is {value}", why="it is a number, and True is not taken for 1")
         if not (isinstance(sample_time, int | float) and math.isfinite(sample_time) and sample_time > 0):
             raise InputError(f"the sample time is {sample_time}", why="it is a positive number of seconds")
         if hold not in ("left", "midpoint", "linear"):
@@ -241,7 +244,8 @@ class Estimator:
         """A whole log: t (N,), u (N, m), y (N, p), absolute; the same as `step`, sample by sample.
 
         x: as in `init`.  state: where an earlier part of the log ended, `Trace.end`, in place of x; a log replayed in
-        parts gives the rows of the whole.  progress is told now and then which part of the work is done, 0 to 1.  The bits are those of
+        parts gives the rows of the whole.
+        progress is told now and then which part of the work is done, 0 to 1.  The bits are those of
         `step`, if the engines' sin, cos, ... are: they run the same instructions, each with a library of its own.
         """
         o, tell = self.observer, progress or _silent
@@ -249,13 +253,13 @@ class Estimator:
         rows = len(t)
         row = self.init(x=x)._row if state is None else self._after(state, t)
         self._chosen.prepare(self._general, rows)
-        fault, state = columns(rows, o.F.shape[1]), columns(rows, len(o.x0))
+        fault, x_hat = columns(rows, o.F.shape[1]), columns(rows, len(o.x0))
         corrected, ok = columns(rows, len(o.y0)), columns(rows, len(o.y0), bool)
         ok[:] = True
         many, plain, k = self._chosen.many, None, 0
         while k < rows:
             if many is not None:
-                reached = many(row, t, u, y, k, min(k + BLOCK, rows), fault, state, corrected)
+                reached = many(row, t, u, y, k, min(k + BLOCK, rows), fault, x_hat, corrected)
                 if reached > k:
                     k = reached
                     tell(k / rows)
@@ -265,11 +269,11 @@ class Estimator:
             else:  # nor are this one and those up to the next plain one
                 plain = self._plain_rows(t, u, y) if plain is None else plain
                 here = slice(k, int(plain[np.searchsorted(plain, k, side="right")]))
-            into = fault[here], state[here], corrected[here], ok[here]
+            into = fault[here], x_hat[here], corrected[here], ok[here]
             row = self._general.stretch(row, t[here], u[here], y[here], into, _part_of(tell, k, rows))
             k = here.stop
         tell(1.0)
-        return Trace(t.copy(), fault, state, corrected, ok, State(row, self._layout))
+        return Trace(t.copy(), fault, x_hat, corrected, ok, State(row, self._layout))
 
     def _after(self, state: State, t: Array) -> Array:
         """A copy of the row that an earlier part of a log ended with."""
@@ -338,7 +342,7 @@ def _demand_scheme_for(observer: Observer, scheme: Scheme) -> None:
         raise InputError(
             f"'{scheme}' cannot step an observer with discontinuous injections",
             why="it takes the slope for smooth; where the injection switches it chatters or stalls",
-            remedies=("use scheme='implicit', which does neither", "or 'explicit', to see it chatter"),
+            remedies=("use scheme='implicit', which does neither", "scheme='explicit', to see it chatter"),
         )
     if not observer.injections and scheme in ("implicit", "explicit"):
         raise InputError(

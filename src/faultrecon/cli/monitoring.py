@@ -1,0 +1,137 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""The verbs `design --bank` and `run` on a bank: which of all the sensors is lying."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from faultrecon.cli.keeping import Keeping, large, run_pieces
+from faultrecon.finding import InputError
+from faultrecon.io.bankfile import read_bank, write_bank
+from faultrecon.io.designfile import target
+from faultrecon.io.running import Make
+from faultrecon.plant.plant import Plant
+from faultrecon.plant.signals import Signals
+from faultrecon.synthesis.bank import Bank, bank
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from faultrecon.io.watched import Watched
+
+
+def make_bank(
+    plant: Plant,
+    out: Path | None,
+    faults: Sequence[str] | None,
+    actuators: Sequence[str],
+    together: Sequence[str],
+    method: str,
+    say: Callable[[str], None],
+) -> tuple[dict[str, Any], str]:
+    """A design for each hypothesis, written to `out`; the summary as data and as text.
+
+    faults: those of the plant whose sensors may fail; every sensor by default.  together: texts "a+b", faults that may
+    act at once.
+    """
+    if out is not None:
+        target(out)
+    sets = [tuple(name.strip() for name in text.split("+")) for text in together]
+    for text, names in zip(together, sets, strict=True):
+        if len(names) < 2 or not all(names):
+            raise InputError(f"--together '{text}'", why="it names two or more faults, as in pitch_rate+roll_rate")
+    chosen = plant if faults is None else plant.with_faults(faults)
+    sensors = None if faults is None else [name for f in chosen.faults if f.site == "sensor" for name in f.on]
+    made = bank(plant, sensors=sensors, actuators=actuators, together=sets, method=method, progress=say)
+    if out is not None:
+        write_bank(made, out)
+    where = f"\nwrote {out}" if out is not None else "\nnothing written; add --out bank.json"
+    return made.as_dict() | {"written": None if out is None else str(out)}, made.report() + where
+
+
+def run_bank(
+    file: str,
+    log: str,
+    out: Path | None,
+    figure: Path | None,
+    plant: Plant | None,
+    mapping: Mapping[str, str],
+    options: Mapping[str, Any],
+    keeping: Keeping,
+    progress: Callable[[float], None],
+) -> tuple[dict[str, Any], str]:
+    """A log through the bank in `file`; the summary as data and as text.
+
+    A piece at a time with a checkpoint or for a large file, like a design.  options: sample_time, and those of
+    `Bank.monitor`.
+    """
+    from faultrecon.io.logs import write_log
+    from faultrecon.io.watched import watch
+
+    made = read_bank(file, plant)
+    if keeping.checkpoint is not None or (figure is None and large(log)):
+        return _in_pieces(made, log, out, mapping, options, keeping, progress)
+    done = watch(made, log, mapping=mapping or None, progress=progress, **options)
+    if figure is not None:
+        from faultrecon.plot.figures import save
+
+        save(_figure(done, plant or made.plant), figure)
+    if out is not None:
+        write_log(out, done.columns())
+    return _said(done.as_dict(), str(done), out, figure)
+
+
+def _in_pieces(
+    made: Bank,
+    log: str,
+    out: Path | None,
+    mapping: Mapping[str, str],
+    options: Mapping[str, Any],
+    keeping: Keeping,
+    progress: Callable[[float], None],
+) -> tuple[dict[str, Any], str]:
+    from faultrecon.io.watched import monitoring
+    from faultrecon.runtime.supervision import Supervision
+
+    done = run_pieces(
+        monitoring(made, **options), made.plant.signals, log, out, mapping, keeping, progress, as_it_came=True
+    )
+    supervision, state = done.processor, done.state
+    assert isinstance(supervision, Supervision), "a bank makes nothing else"
+    events, counts = supervision.monitor.events(state.monitor), state.counts
+    data = {
+        "rows": done.tally.written,
+        "events": [event.as_dict() for event in events],
+        "counts": counts.as_dict(supervision.intake.names),
+        "resumed_at": done.resumed_at,
+    }
+    lines = [f"{log}: {counts.received} rows in, {done.tally.written} out, a piece at a time"]
+    lines += [f"  went on at row {done.resumed_at + 1}"] if done.resumed_at else []
+    lines += [f"  {finding}" for finding in supervision.intake.findings(counts)]
+    lines += [f"  {event}" for event in events if event.mode != "warming"]
+    return _said(data, "\n".join(lines), out, None)
+
+
+def _said(data: dict[str, Any], text: str, out: Path | None, figure: Path | None) -> tuple[dict[str, Any], str]:
+    written = {"written": None if out is None else str(out), "figure": None if figure is None else str(figure)}
+    return data | written, "\n".join([text, *(f"  wrote {path}" for path in (out, figure) if path is not None)])
+
+
+def _figure(done: Watched, plant: Plant) -> Figure:
+    """The single faults of a watched log, in the units of what they sit on."""
+    from faultrecon.plot.watching import watched_figure
+
+    units = dict(zip(plant.signals.y.names, plant.signals.y.units, strict=True))
+    units |= dict(zip(plant.signals.u.names, plant.signals.u.units, strict=True))
+    faults = {h.faults[0]: h.watch.plant.faults[0] for h in done.monitor.hypotheses if len(h.faults) == 1}
+    return watched_figure(done.table, list(faults), [units.get(next(iter(f.on)), "") for f in faults.values()])
+
+
+def bank_stream(file: str, plant: Plant | None, options: Mapping[str, Any]) -> tuple[Make, Signals]:
+    """What answers a stream with the decisions of a bank."""
+    from faultrecon.io.watched import monitoring
+
+    made = read_bank(file, plant)
+    return monitoring(made, **options), made.plant.signals

@@ -1,0 +1,165 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""How large the outputs of a sampled linear system can get: for inputs that stay within bounds, and for white noise.
+
+    x⁺ = M x + B d,   y = C x + D d;      impulse response  h₀ = D,  hₖ = C M^(k-1) B
+
+|y| ≤ Σₖ |hₖ| d̄ whenever |d| ≤ d̄, and no smaller bound holds for all such d (the peak gain, or l1 norm); white noise of
+standard deviation s leaves sqrt(Σₖ hₖ²) s.  Both also for y behind low-pass filters  s⁺ = a s + (1 - a) y⁺.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[Any]
+
+BLOCK = 256  # samples of the impulse response that are computed at once
+OVER = 1e-7  # of a sum: a block that adds less ends it
+NOTHING = 1e-10  # of the largest sum of an output: rounding
+STEADY = 1e-3  # of the distance to 1: how little the ratio of two blocks may change for the rest to be geometric
+BEYOND = 300.0  # as a logarithm: sizes that no sequence worth having begins with
+FADED = 1e-4  # of the largest value: a response below it has faded
+LONGEST_FADE = 2**17  # samples of a fading response that are looked at
+LONGEST = 2**20  # samples: there it ends in any case
+
+
+@dataclass(frozen=True, eq=False)
+class Gains:
+    """peak and noise: (filters, r, d), by filter, output and input; infinite where the response does not decay."""
+
+    peak: Array
+    noise: Array
+
+
+def gains(M: Array, B: Array, C: Array, D: Array, smoothing: Sequence[float] = (0.0,)) -> Gains:
+    """Peak and noise gains of x⁺ = M x + B d, y = C x + D d, plain sums in floating point.
+
+    M (n, n), B (n, d), C (r, n), D (r, d).  smoothing: the poles a of the filters, 0 <= a < 1; 0 is no filter.
+    """
+    from scipy.signal import lfilter
+
+    poles = np.asarray(smoothing, dtype=float)
+    n, r, d = M.shape[0], C.shape[0], B.shape[1]
+    peak, energy = np.zeros((len(poles), r, d)), np.zeros((len(poles), r, d))
+    if r == 0 or d == 0:
+        return Gains(peak, energy)
+    slowest = float(np.abs(np.linalg.eigvals(M)).max()) if n else 0.0
+    if slowest >= 1.0:
+        seen = _reaches(M, B, C)[None] | np.zeros((len(poles), 1, 1), dtype=bool)
+        return Gains(np.where(seen, np.inf, np.abs(D)), np.where(seen, np.inf, np.abs(D)))
+    stack, power = _observations(M, C)
+    states = [np.zeros((1, r, d)) for _ in poles]
+    block, X, done, agreed = D[None], B, 0, 0
+    before, last = np.zeros((2, *peak.shape)), np.full((2, *peak.shape), np.inf)
+    while True:
+        added = np.zeros((2, *peak.shape))
+        for i, a in enumerate(poles):
+            response, states[i] = lfilter([1.0 - a], [1.0, -a], block, axis=0, zi=states[i])
+            added[0, i] = np.abs(response).sum(axis=0)
+            added[1, i] = np.square(response).sum(axis=0)
+        peak += added[0]
+        energy += added[1]
+        done += len(block)
+        if n == 0 and not any(np.any(s) for s in states):
+            return Gains(peak, np.sqrt(energy))
+        ratio = np.divide(added, before, out=np.zeros_like(added), where=before > 0)
+        steady = (ratio < 1.0) & (
+            np.abs(ratio - last) <= STEADY * (1.0 - ratio)
+        )  # so the rest is geometric: the slowest mode is alone
+        over = (added[0] <= OVER * peak) | (peak <= NOTHING * peak.max(axis=2, keepdims=True))
+        agreed = agreed + 1 if np.all(steady | over) else 0
+        if agreed == 2 or done >= LONGEST:
+            ratio = np.where(
+                steady | over, np.where(steady, ratio, 0.0), min(slowest**BLOCK, 1.0 - np.finfo(float).eps)
+            )
+            total = np.stack([peak, energy]) + added * ratio / (1.0 - ratio)
+            return Gains(total[0], np.sqrt(total[1]))
+        before, last = added, ratio
+        block = (stack @ X).reshape(BLOCK, r, d)
+        X = power @ X
+
+
+@dataclass(frozen=True, eq=False)
+class Fading:
+    """How outputs of x⁺ = M x fade: |y_k| ≤ Σ first × rate^k over two parts, a quick one and a slow one.
+
+    first, rate: (2, r).  Where an output does not fade first is inf and rate 1.
+    """
+
+    first: Array
+    rate: Array
+
+
+def fading(M: Array, C: Array, box: Array, units: Array, rate: Array | None = None) -> Fading:
+    """How fast |C Mᵏ box| fades, each output in its unit: C (r, n), box (n, k), columns of which any |share| ≤ 1.
+
+    Of all such pairs above an output one with nearly the smallest sum is taken.  rate (r,): that of the slow part, which
+    then does it alone.
+    """
+    r = C.shape[0]
+    if not M.size or not box.size:
+        return Fading(np.zeros((2, r)), np.zeros((2, r)))
+    slowest = float(np.abs(np.linalg.eigvals(M)).max())
+    if slowest >= 1.0:
+        return Fading(np.full((2, r), np.inf), np.ones((2, r)))
+    ends, table = _envelope(M, C, box, units)
+    if rate is not None:
+        return Fading(np.vstack([np.zeros(r), _above(ends, table, rate)]), np.vstack([np.zeros(r), rate]))
+    best, first, rates = np.full(r, np.inf), np.full((2, r), np.inf), np.full((2, r), slowest)
+    for slow in np.concatenate([1.0 - (1.0 - slowest) * 0.5 ** np.arange(1, 3), slowest**1.5 ** np.arange(16)]):
+        tails = np.maximum.accumulate((np.log(table) - ends[:, None] * np.log(slow))[::-1], axis=0)[::-1]
+        for cut in range(0, len(ends), 4):
+            size = np.exp(np.minimum(tails[cut], BEYOND))
+            rest = np.maximum(table - size * np.exp(ends * np.log(slow))[:, None], 0.0)[:cut]
+            quick = np.exp(-3.0 / max(ends[cut - 1], 1.0)) if cut else 0.0
+            more = np.max(rest / np.exp(ends[:cut] * np.log(quick))[:, None], axis=0) if cut else np.zeros(r)
+            total = more / (1.0 - quick) + size / (1.0 - slow)
+            better = total < best
+            best = np.where(better, total, best)
+            first = np.where(better, np.vstack([more, size]), first)
+            rates = np.where(better, np.array([[quick], [slow]]), rates)
+    return Fading(first, rates)
+
+
+def _envelope(M: Array, C: Array, box: Array, units: Array) -> tuple[Array, Array]:
+    """The largest outputs within stretches that end at `ends`, (stretches,) and (stretches, r); never quite zero."""
+    r = C.shape[0]
+    stack, power = _observations(M, C)
+    blocks, X, top = [], box, 0.0
+    while len(blocks) * BLOCK < LONGEST_FADE:
+        block = np.abs((stack @ X).reshape(BLOCK, r, -1)).sum(axis=2) / units
+        blocks.append(block)
+        top = max(top, float(block.max(initial=0.0)))
+        if float(block.max(initial=0.0)) <= FADED * top:
+            break
+        X = power @ X
+    table = np.concatenate(blocks)
+    edges = np.unique(np.concatenate([np.arange(17), np.geomspace(16, len(table), 120).astype(int)]))
+    largest = np.maximum.reduceat(table, edges[:-1], axis=0)
+    return (edges[1:] - 1).astype(float), np.maximum(largest, np.finfo(float).tiny)
+
+
+def _above(ends: Array, table: Array, rate: Array) -> Array:
+    """The smallest size for which size × rate^k lies above an envelope, by output."""
+    return np.asarray(np.exp(np.max(np.log(table) - np.multiply.outer(ends, np.log(rate)), axis=0)))
+
+
+def _observations(M: Array, C: Array) -> tuple[Array, Array]:
+    """[C; C M; ...; C M^(BLOCK-1)] and M^BLOCK."""
+    rows, power = [C], M
+    while len(rows) * len(C) < BLOCK * len(C):
+        rows += [one @ power for one in rows]
+        power = power @ power
+    return np.vstack(rows), power
+
+
+def _reaches(M: Array, B: Array, C: Array) -> NDArray[np.bool_]:
+    """Which outputs an input reaches through the state at all, (r, d)."""
+    stack, _ = _observations(M, C)
+    seen = np.abs((stack @ B).reshape(-1, len(C), B.shape[1])).max(axis=0)
+    return np.asarray(seen > 0)

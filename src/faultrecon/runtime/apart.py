@@ -1,0 +1,39 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""How large a fault must be before a wrong explanation is ruled out: which hypotheses can be told apart at all."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+
+from faultrecon.plant.fault import FaultChannel
+from faultrecon.plant.plant import Plant
+from faultrecon.runtime.errors import error_system
+from faultrecon.runtime.watch import Watch
+
+NOTHING = 1e-9  # of a residual's scale: what rounding makes of a fault that does not show
+
+
+def ruled_out(watch: Watch, plant: Plant, fault: FaultChannel) -> float:
+    """The smallest constant size of a sensor fault outside the hypothesis for which its tests must fail in the end.
+
+    Worst case: bounds are used up in the other direction, so twice the bound is what the fault has to bring.  inf where
+    its residuals do not see a constant at all.
+    """
+    system = error_system(watch.plant, watch.estimator)
+    F = replace(plant, faults=(fault,)).F_f[:, 0]
+    if fault.site != "sensor" or not F.any():
+        return math.inf
+    into, out = (part @ F for part in system.reading)
+    try:
+        settled = out + system.C @ np.linalg.solve(np.eye(len(system.M)) - system.M, into)
+    except np.linalg.LinAlgError:
+        return math.inf
+    q = watch.bounds.faults
+    gain = np.abs(settled[q : q + watch.plant.p])
+    limits = watch.limits[:, q:]
+    visible = gain > NOTHING * max(float(gain.max(initial=0.0)), np.finfo(float).tiny)
+    sizes = np.where(visible, 2.0 * limits / np.where(visible, gain, 1.0), math.inf)
+    return float(sizes.min(initial=math.inf))

@@ -1,0 +1,357 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Which sensor is lying, how sure are we, and what should the controller read instead?
+
+A monitor runs one estimator per hypothesis over the same samples, tests each against its bounds, decides, and hands on
+measurements with a quality.  All that it remembers is in a value: cut the samples anywhere, the rows stay the same.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from faultrecon.finding import Finding, InputError
+from faultrecon.plant.plant import Plant
+from faultrecon.runtime.correction import QUALITIES, Correction, Held
+from faultrecon.runtime.decision import (
+    MODES,
+    NOBODY,
+    STALE,
+    UNOBSERVED,
+    Change,
+    Counts,
+    Decider,
+    Rules,
+    Standing,
+    counted,
+)
+from faultrecon.runtime.events import Event, Evidence, Open, closed, opened
+from faultrecon.runtime.isolation import Isolation
+from faultrecon.runtime.samples import State, Trace, checked_log
+from faultrecon.runtime.watch import Watch
+from faultrecon.storage.hashing import canonical_digest
+
+Array = NDArray[Any]
+
+BLOCK = 4096  # samples that are looked at together: some MB of tests
+LATE = 1.5  # sample times: a longer interval is one in which rows are missing
+
+
+@dataclass(frozen=True, eq=False)
+class Hypothesis:
+    """What may be wrong: its name, the names of its faults, and the watch over the estimator that assumes it.
+
+    reached: the sensors its faults reach, by number.
+    """
+
+    name: str
+    faults: tuple[str, ...]
+    watch: Watch
+    reached: tuple[int, ...]
+
+    @staticmethod
+    def of(name: str, watch: Watch) -> Hypothesis:
+        """The hypothesis that the faults of the watch's plant, and no others, act."""
+        reached = np.flatnonzero(np.any(watch.plant.F_f != 0, axis=1))
+        return Hypothesis(name, tuple(f.name for f in watch.plant.faults), watch, tuple(reached.tolist()))
+
+
+@dataclass(frozen=True, eq=False)
+class MonitorState:
+    """Between two samples; never changed.  events: those that are over, in order."""
+
+    t: float
+    samples: int
+    estimators: tuple[State, ...]
+    live: tuple[Array, ...]
+    recent: Array  # (window - 1, hypotheses, 2): how badly each fitted, and how large its fault was, in bounds
+    counts: Counts
+    standing: Standing
+    held: Held
+    open: Open | None
+    events: tuple[Event, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class _Looked:
+    """What all hypotheses say about some samples; misfit, own, faded (N, hypotheses), failed (N, 1)."""
+
+    traces: list[Trace]
+    live: tuple[Array, ...]
+    failed: Array
+    misfit: Array
+    own: Array
+    faded: Array
+    bounds: list[Array]
+
+
+@dataclass(frozen=True, eq=False)
+class Monitor:
+    """Hypotheses about one plant, all sampled alike.  stale: s without a sample after which the mode says so."""
+
+    plant: Plant
+    hypotheses: tuple[Hypothesis, ...]
+    isolation: Isolation
+    rules: Rules = field(default_factory=Rules)
+    correction: Correction = field(default_factory=Correction)
+    stale: float = 1.0
+    origin: str = ""  # content hash of the designs
+    refused: Mapping[str, Finding] = field(default_factory=dict)  # hypotheses that cannot be tested, and why
+
+    def __post_init__(self) -> None:
+        times = {h.watch.estimator.sample_time for h in self.hypotheses}
+        if len(times) != 1:
+            raise InputError("the hypotheses of a monitor have no common sample time", evidence={"times": len(times)})
+
+    # ------------------------------------------------------------ what comes out
+
+    @property
+    def sample_time(self) -> float:
+        """Seconds between samples."""
+        return self.hypotheses[0].watch.estimator.sample_time
+
+    @cached_property
+    def singles(self) -> dict[str, int]:
+        """The faults that have a hypothesis of their own, and its number."""
+        return {h.faults[0]: i for i, h in enumerate(self.hypotheses) if len(h.faults) == 1}
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """t, mode, fault, f_<fault> and its bound for each single fault, <sensor>_corrected and _quality."""
+        faults = [text for name in self.singles for text in (f"f_{name}", f"f_{name}_bound")]
+        sensors = [text for name in self.plant.signals.y for text in (f"{name}_corrected", f"{name}_quality")]
+        return ("t", "mode", "fault", *faults, *sensors)
+
+    @cached_property
+    def identity(self) -> str:
+        """A content hash of all that decides what comes out."""
+        parts = [self.origin, repr(self.rules), repr(self.correction), repr(self.stale), repr(self.sample_time)]
+        for h in self.hypotheses:
+            allowed = h.watch.bounds.allowance, h.watch.poles, h.watch.estimator.hold, h.watch.estimator.scheme
+            parts += [h.name, repr(allowed)]
+        return canonical_digest({"monitor": parts})
+
+    # ------------------------------------------------------------ the work
+
+    def start(self) -> MonitorState:
+        """Before the first sample."""
+        count = len(self.hypotheses)
+        return MonitorState(
+            np.nan,
+            0,
+            tuple(h.watch.estimator.init() for h in self.hypotheses),
+            tuple(h.watch.init() for h in self.hypotheses),
+            np.zeros((self.rules.window - 1, count, 2)),
+            Counts.none(self.rules, count),
+            Standing(),
+            Held.nothing(self.plant.p),
+            None,
+            (),
+        )
+
+    def take(self, state: MonitorState, t: Array, u: Array, y: Array) -> tuple[MonitorState, dict[str, Array]]:
+        """Samples t (N,), u (N, m), y (N, p), absolute, time increasing; one row out for each.
+
+        Raises InputError on shapes and times that do not fit; the state before is then as good as ever.
+        """
+        t, u, y = checked_log(t, u, y, self.plant.B.shape[1], self.plant.p)
+        if state.samples and len(t) and not t[0] > state.t:
+            raise InputError(f"the sample at {t[0]:g} s follows the one at {state.t:g} s", why="time must increase")
+        parts = []
+        for k in range(0, max(len(t), 1), BLOCK):
+            here = slice(k, k + BLOCK)
+            state, rows = self._block(state, t[here], u[here], y[here])
+            parts.append(rows)
+        return state, {name: np.concatenate([part[name] for part in parts]) for name in self.columns}
+
+    def _block(self, state: MonitorState, t: Array, u: Array, y: Array) -> tuple[MonitorState, dict[str, Array]]:
+        """The same for a number of samples that fits the processor's cache."""
+        waits = np.diff(t, prepend=state.t if state.samples else np.array([*t[:1], 0.0])[0] - self.sample_time)
+        gap = (waits > LATE * self.sample_time).astype(float)
+        looked = self._look(state, t, u, y, gap)
+        counts, verdicts = counted(self.rules, state.counts, looked.failed, looked.misfit > 1.0, looked.faded > 0.0)
+        standing, changes = self._decider.decide(state.standing, verdicts)
+        mode, named = _spread(state.standing, changes, len(t))
+        reach = _reach(state.standing, changes, self.hypotheses)
+        held, corrected, quality = self.correction.apply(state.held, t, y, mode, named, reach, looked.traces)
+        recent = np.concatenate([state.recent, np.stack([looked.misfit, looked.own], axis=2)])
+        events, now_open = self._events(state, t, changes, recent, looked.traces)
+        shown = mode.copy()
+        shown[waits > self.stale] = STALE
+        shown[~np.isfinite(y).any(axis=1)] = UNOBSERVED
+        after = MonitorState(
+            float(t[-1]) if len(t) else state.t,
+            state.samples + len(t),
+            tuple(trace.end for trace in looked.traces),
+            looked.live,
+            recent[len(t) :],
+            counts,
+            standing,
+            held,
+            now_open,
+            events,
+        )
+        return after, self._rows(t, shown, named, looked, corrected, quality)
+
+    def finish(self, state: MonitorState) -> dict[str, Array]:
+        """No row waits."""
+        nothing = np.empty((0, self.plant.B.shape[1])), np.empty((0, self.plant.p))
+        return self._block(state, np.empty(0), *nothing)[1]
+
+    def events(self, state: MonitorState) -> tuple[Event, ...]:
+        """What has happened, what is still going on included."""
+        return state.events if state.open is None else (*state.events, closed(state.open, None))
+
+    @cached_property
+    def _decider(self) -> Decider:
+        return Decider(self.rules, tuple(len(h.faults) for h in self.hypotheses))
+
+    def _look(self, state: MonitorState, t: Array, u: Array, y: Array, gap: Array) -> _Looked:
+        """Every hypothesis over the samples: estimates, tests, and what is left of each explanation."""
+        shares = np.empty((len(t), sum(h.watch.tests for h in self.hypotheses)))
+        traces, live, seen, column = [], [], [], 0
+        for h, before, alive in zip(self.hypotheses, state.estimators, state.live, strict=True):
+            estimator = h.watch.estimator
+            if before.samples == 0 and len(t):
+                guess = h.watch.bounds.beginning.guess(u[0], y[0])
+                alive = h.watch.init(blind=guess is None)
+                trace = estimator.replay(t, u, y, x=guess)
+            else:
+                trace = estimator.replay(t, u, y, state=before)
+            after, found = h.watch.look(alive, u, y, gap, trace, shares[:, column : column + h.watch.tests])
+            column += h.watch.tests
+            traces.append(trace)
+            live.append(after)
+            seen.append(found)
+        peaks = np.column_stack([s.peak for s in seen])
+        misfit = self.isolation.ask(shares, peaks, np.hstack([s.amplitude for s in seen]))
+        own, faded = (np.column_stack(part) for part in ([s.own for s in seen], [s.faded for s in seen]))
+        failed = (peaks.max(axis=1, keepdims=True) > 1.0) if len(t) else np.zeros((0, 1), dtype=bool)
+        return _Looked(traces, tuple(live), failed, misfit, own, faded, [s.bound for s in seen])
+
+    def _events(
+        self,
+        state: MonitorState,
+        t: Array,
+        changes: Sequence[Change],
+        recent: Array,
+        traces: Sequence[Trace],
+    ) -> tuple[tuple[Event, ...], Open | None]:
+        """Events that end within these samples, and the one that is going on after them."""
+        done, going = list(state.events), state.open
+        row = 0
+        for change in [*changes, None]:
+            stop = len(t) if change is None else change.row
+            if going is not None:
+                going = going.seen(traces, row, stop)
+            row = stop
+            if change is None:
+                break
+            if going is not None and not going.goes_on(change.after):
+                done.append(closed(going, float(t[change.row])))
+                going = None
+            frame = self._evidence(recent, change.row)
+            if going is None:
+                going = opened(change.after, float(t[change.row]), frame, self._faults_of(change.after))
+            else:
+                going = going.narrowed(change.after, frame)
+        return tuple(done), going
+
+    def _faults_of(self, now: Standing) -> tuple[str, ...]:
+        return () if now.named == NOBODY else self.hypotheses[now.named].faults
+
+    @property
+    def _names(self) -> tuple[str, ...]:
+        return tuple(h.name for h in self.hypotheses)
+
+    def _evidence(self, recent: Array, row: int) -> tuple[Evidence, ...]:
+        """The last window up to a row, by hypothesis."""
+        window = recent[row : row + self.rules.window]
+        return tuple(
+            Evidence(name, int(np.sum(window[:, i, 0] > 1)), float(window[:, i, 0].max()), float(window[:, i, 1].max()))
+            for i, name in enumerate(self._names)
+        )
+
+    def _rows(
+        self, t: Array, mode: Array, named: Array, looked: _Looked, corrected: Array, quality: Array
+    ) -> dict[str, Array]:
+        names = np.array([*self._names, ""])
+        values: list[Array] = [t, np.array(MODES)[mode], names[named]]
+        for i in self.singles.values():
+            values += [looked.traces[i].fault[:, 0], looked.bounds[i][:, 0]]
+        for i in range(self.plant.p):
+            values += [corrected[:, i], np.array(QUALITIES)[quality[:, i]]]
+        return dict(zip(self.columns, values, strict=True))
+
+    # ------------------------------------------------------------ to keep and to go on
+
+    def pack(self, state: MonitorState) -> dict[str, Any]:
+        """The state as plain values and arrays, for a checkpoint."""
+        return {
+            "t": state.t,
+            "samples": state.samples,
+            "estimators": [one._row.copy() for one in state.estimators],
+            "live": [one.copy() for one in state.live],
+            "recent": state.recent.copy(),
+            "counts": {name: getattr(state.counts, name).astype(float) for name in ("failed", "outside", "faded")},
+            "standing": {**vars(state.standing), "candidates": list(state.standing.candidates)},
+            "held": state.held.pack(),
+            "open": None if state.open is None else state.open.pack(),
+            "events": [event.as_dict() for event in state.events],
+        }
+
+    def unpack(self, packed: Mapping[str, Any]) -> MonitorState:
+        """The state that was packed, every bit of it.  Raises InputError on one of another monitor."""
+        try:
+            rows = [np.array(row, dtype=float) for row in packed["estimators"]]
+            layouts = [h.watch.estimator._layout for h in self.hypotheses]
+            if [len(r) for r in rows] != [lay.width for lay in layouts]:
+                raise InputError("the stored state belongs to another monitor")
+            standing = dict(packed["standing"])
+            standing["candidates"] = tuple(int(c) for c in standing["candidates"])
+            return MonitorState(
+                float(packed["t"]),
+                int(packed["samples"]),
+                tuple(State(r, lay) for r, lay in zip(rows, layouts, strict=True)),
+                tuple(np.array(one, dtype=float) for one in packed["live"]),
+                np.array(packed["recent"], dtype=float),
+                Counts(**{name: np.array(v).astype(np.int8) for name, v in packed["counts"].items()}),
+                Standing(**standing),
+                Held.unpack(packed["held"]),
+                None if packed["open"] is None else Open.unpack(packed["open"]),
+                tuple(Event.from_dict(one) for one in packed["events"]),
+            )
+        except (KeyError, TypeError, ValueError, AttributeError) as error:
+            raise InputError("the stored state is none of a monitor", why=str(error)) from error
+
+
+def _spread(before: Standing, changes: Sequence[Change], rows: int) -> tuple[Array, Array]:
+    """Mode and named hypothesis, row by row."""
+    mode, named = np.full(rows, before.mode), np.full(rows, before.named)
+    for change in changes:
+        mode[change.row :] = change.after.mode
+        named[change.row :] = change.after.named
+    return mode, named
+
+
+def _reach(
+    before: Standing, changes: Sequence[Change], hypotheses: Sequence[Hypothesis]
+) -> list[tuple[int, tuple[int, ...], tuple[int, ...]]]:
+    """From which row on which sensors are at fault, and which are under suspicion."""
+
+    def sensors(now: Standing) -> tuple[tuple[int, ...], tuple[int, ...]]:
+        faulty = () if now.named == NOBODY else hypotheses[now.named].reached
+        doubted = {i for c in now.candidates for i in hypotheses[c].reached} - set(faulty)
+        return faulty, tuple(sorted(doubted))
+
+    return [(0, *sensors(before)), *((c.row, *sensors(c.after)) for c in changes)]
+
+
+def without(state: MonitorState) -> MonitorState:
+    """The same state with the events that are over left out, for those who keep them elsewhere."""
+    return replace(state, events=())
