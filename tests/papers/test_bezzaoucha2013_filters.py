@@ -40,6 +40,13 @@ def reactor():
     return fr.library("activated_sludge")
 
 
+def form():
+    """The reactor's Takagi-Sugeno model."""
+    found = reactor().polytopic
+    assert found is not None
+    return found
+
+
 def tuned(state, rate):
     """The reactor with other sizes of what drives it: states, and the fault's rate."""
     louder = tuple(replace(w, size=state) for w in reactor().disturbances)
@@ -58,15 +65,18 @@ def plant_run(sample=SAMPLE, off=()):
     """
     plant = reactor()
     if off:
-        phi = plant.nonlinearity.phi
+        term = plant.nonlinearity
+        assert term is not None
+        phi = term.phi
         wrong = {name: phi.constants[name] * factor for name, factor in off}
         other = Graph.from_texts(phi.texts, phi.inputs, {**phi.constants, **wrong})
-        plant = replace(plant, nonlinearity=replace(plant.nonlinearity, phi=other), polytopic=None)
+        plant = replace(plant, nonlinearity=replace(term, phi=other), polytopic=None)
     hold = "sample" if sample == SAMPLE else "continuous"
-    start = {"x0": (0.1, 1.5), "initial_error": (0.01, -0.8)}
-    return true_run(
-        plant, fr.Scenario(140.0, sample, inputs={"dilution": dilution}, noise=False, input_hold=hold, **start)
+    x0, off_by = (0.1, 1.5), (0.01, -0.8)
+    scenario = fr.Scenario(
+        140.0, sample, inputs={"dilution": dilution}, noise=False, input_hold=hold, x0=x0, initial_error=off_by
     )
+    return true_run(plant, scenario)
 
 
 def truth(shape, seed=None, **of):
@@ -206,8 +216,8 @@ def test_states_and_gains_stay_positive_in_logarithms():
 
 
 def test_a_sensor_that_may_read_zero_has_no_logarithm():
-    box = {**reactor().polytopic.box, "biomass": (-0.1, 3.52)}
-    plant = replace(reactor(), polytopic=replace(reactor().polytopic, box=box))
+    box = {**form().box, "biomass": (-0.1, 3.52)}
+    plant = replace(reactor(), polytopic=replace(form(), box=box))
     with pytest.raises(fr.Impossible, match=r"turbidity is not always positive.*use augmented-ekf"):
         fr.design(plant, "log-ekf")
     assert fr.design(replace(plant, polytopic=None), "log-ekf")  # without a box, the operating point decides
@@ -253,6 +263,7 @@ def test_with_the_tuning_of_the_plant_file_it_is_better_than_that_row():
 
 def test_what_is_proved_of_it_is_conditional_and_says_so():
     design = made("ts-additive")
+    assert design.verification is not None and design.certificate is not None
     assert design.verification.verdict == "assumed"
     assert "no stability proof of the nonlinear error" in design.certificate.scope
     assert "random walk" in design.certificate.scope and "f h - f̂ ĥ" in design.certificate.claim
@@ -261,10 +272,11 @@ def test_what_is_proved_of_it_is_conditional_and_says_so():
 
 def test_it_serves_the_wide_box_on_which_no_gain_of_the_mean_value_design_does():
     box = {"biomass": (1.0, 3.6), "substrate": (0.04, 0.7), "dilution": (0.21, 0.45)}
-    wide = replace(reactor(), polytopic=replace(reactor().polytopic, box=box))
+    wide = replace(reactor(), polytopic=replace(form(), box=box))
     with pytest.raises(fr.Impossible):
         fr.design(wide, "ts-mean-value")
-    assert fr.design(wide, "ts-additive").verification.sound
+    found = fr.design(wide, "ts-additive").verification
+    assert found is not None and found.sound
 
 
 def test_a_gap_in_the_faulty_sensor_leaves_the_estimate_where_it_is():
@@ -334,7 +346,7 @@ def with_sensors(C, *faults):
         noise=Noise(0.1, (0.02, 0.02)),
         operating_point=OperatingPoint(plant.point.x, plant.point.u, y),
         faults=tuple(faults),
-        polytopic=replace(plant.polytopic, faults={f.name: (-0.05, 0.65) for f in faults}),
+        polytopic=replace(form(), faults={f.name: (-0.05, 0.65) for f in faults}),
     )
 
 
@@ -350,6 +362,7 @@ SECTORS = ("ts-published", "ts-guaranteed-cost", "ts-mean-value", "ts-additive")
 @pytest.mark.parametrize("name", SECTORS)
 def test_a_healthy_sensor_beside_the_faulty_one_is_used_and_never_raises_the_level(name, C):
     one, two = fr.design(reactor(), name), fr.design(with_sensors(C, fouling()), name)
+    assert one.level is not None and two.level is not None
     assert two.level <= one.level * (1 + 1e-3)
     assert max(np.abs(G[:, 1]).max() for G in two.gains.values() if G.shape[1] == 2) > 1e-3
 
@@ -381,8 +394,8 @@ def test_a_gain_that_two_sensors_share_is_no_signal_of_one():
 
 @pytest.mark.parametrize("name", SECTORS)
 def test_an_interval_without_zero_is_warned_of(name):
-    form = replace(reactor().polytopic, faults={"fouling": (0.125, 0.625)})
-    found = method(name).assumptions(replace(reactor(), polytopic=form))
+    away = replace(form(), faults={"fouling": (0.125, 0.625)})
+    found = method(name).assumptions(replace(reactor(), polytopic=away))
     assert any("does not contain 0" in f.what and f.severity == "warning" for f in found)
     assert not any("does not contain 0" in f.what for f in method(name).assumptions(reactor()))
 
@@ -390,7 +403,7 @@ def test_an_interval_without_zero_is_warned_of(name):
 @pytest.mark.parametrize("name", ["ts-published", "ts-guaranteed-cost", "ts-additive"])
 def test_a_premise_that_leaves_its_bounds_within_the_box_is_warned_of(name):
     for bounds, warned in (({"z2": (5.0, 10.0)}, True), ({"z2": (0.0, 20.0)}, False), ({}, False)):
-        found = method(name).assumptions(replace(reactor(), polytopic=replace(reactor().polytopic, bounds=bounds)))
+        found = method(name).assumptions(replace(reactor(), polytopic=replace(form(), bounds=bounds)))
         said = [f for f in found if "leaves its bounds within the box" in f.what]
         assert len(said) == warned and all(f.severity == "warning" and f.evidence["premise"] == "z2" for f in said)
 
@@ -405,7 +418,7 @@ def test_weights_of_premises_stay_at_the_bound_and_those_of_faults_are_nowhere_k
     assert np.array(at(inside, 0.3)).ravel() == pytest.approx(sector.weights(inside, [0.3])[0], abs=1e-14)
     kept = np.array(at(beyond, 0.3)).ravel()
     assert kept.min() >= 0.0 and kept.sum() == pytest.approx(1.0) and sector.weights(beyond, [0.3]).min() < 0.0
-    mu = weights([[0.9]], [reactor().polytopic.faults["fouling"]])[0]
+    mu = weights([[0.9]], [form().faults["fouling"]])[0]
     assert mu.min() < 0.0 and mu.sum() == pytest.approx(1.0)
 
 

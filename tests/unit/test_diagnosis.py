@@ -6,11 +6,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from faultrecon.diagnosis.conditions import detectable, minimum_phase
 from faultrecon.diagnosis.diagnosis import diagnose
 from faultrecon.diagnosis.existence import detectability_findings, fault_findings
 from faultrecon.diagnosis.limits import reconstruction_floor
 from faultrecon.finding import Impossible
 from faultrecon.io.library import read_library
+from faultrecon.numerics.annihilator import annihilator
 from faultrecon.plant.fault import Disturbance, FaultChannel
 from faultrecon.plant.plant import Plant
 from faultrecon.plant.signals import Channels, Signals
@@ -230,3 +232,23 @@ def test_a_hidden_growing_mode_forbids_exactness_alone():
     growing = plant([[0.5, 0.0], [0.0, -1.0]], np.eye(2), [{"y1": 1.0}])
     assert "f1: cannot be reconstructed exactly" in str(diagnose(growing))
     assert "at best an error of 2 s times the rate of the fault" in str(diagnose(growing))
+
+
+@pytest.mark.parametrize("faults", [[{"y1": 1.0}, {"y1": -2.0}], [{"y1": 1.0, "y2": 1.0}, {"y1": 3.0, "y2": 3.0}]])
+def test_detectability_with_dependent_faults_is_that_of_the_outputs_that_none_of_them_reaches(faults):
+    C = np.vstack([np.eye(2), [1.0, 1.0]])
+    one, two = (plant(np.diag([0.5, -1.0]), C, f) for f in (faults[:1], faults))
+    assert detectable(two) == detectable(one)
+    assert (annihilator(two.F_f) == annihilator(one.F_f)).all()
+
+
+def test_more_faults_than_outputs_leave_none():
+    assert annihilator(np.arange(1.0, 7.0).reshape(2, 3)).shape == (0, 2)
+
+
+def test_the_slowest_zero_of_a_sampled_plant_is_the_one_of_largest_modulus():
+    three = plant(np.diag([-0.9, 0.5, 0.1]), np.eye(3)[2:], [{"y1": 1.0}])  # two modes that no sensor sees
+    found = minimum_phase(replace(three, sample_time=0.1))
+    assert found.holds and found.where == pytest.approx(-0.9) and found.distance == pytest.approx(0.1)
+    growing = replace(three, A=np.diag([-1.5, 1.1, 0.1]), sample_time=0.1)
+    assert not minimum_phase(growing).holds and minimum_phase(growing).where == pytest.approx(-1.5)

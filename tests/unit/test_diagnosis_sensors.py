@@ -264,3 +264,11 @@ def test_sensors_are_ranked_by_the_floor_of_actuator_faults_too():
     options = rank_sensors(plant, ["velocity"], protect=False)
     assert options[0].floor.kind == "slow fault"
     assert options[0].floor.value <= slow_fault_floor(plant).value
+
+
+def test_an_added_sensor_leaves_the_limits_of_the_others_as_they_are():
+    plant = mass()
+    y = replace(plant.signals.y, limits=((-2.0, 2.0), *plant.signals.y.limits[1:]))
+    limited = replace(plant, signals=replace(plant.signals, y=y))
+    changed = with_sensor(limited, Candidate("gauge", {plant.signals.x.names[0]: 1.0})).signals.y
+    assert changed.limited() == {y.names[0]: (-2.0, 2.0)}

@@ -10,8 +10,10 @@ import pytest
 from faultrecon.finding import InputError
 from faultrecon.graph.function import Graph
 from faultrecon.graph.observer import NonlinearTerm, Observer
+from faultrecon.io.library import read_library
 from faultrecon.runtime.estimator import Estimator
 from faultrecon.runtime.filling import Prediction
+from faultrecon.synthesis.pipeline import design
 
 A = np.array([[0.0, 1.0], [-2.0, -0.6]])
 B = np.array([[0.0], [1.0]])
@@ -209,6 +211,20 @@ def test_wrong_shapes_are_refused_with_the_right_ones():
 def test_unknown_choices_are_refused(wrong):
     with pytest.raises(InputError, match="use "):
         Estimator.build(luenberger(), H, **wrong)
+
+
+@pytest.mark.parametrize("wrong", [{"bound": True}, {"layer": [np.True_, 0.1]}, {"sample_time": True}])
+def test_true_is_not_taken_for_one(wrong):
+    with pytest.raises(InputError, match="True is not taken for 1"):
+        Estimator.build(luenberger(), **{"sample_time": H, **wrong})
+
+
+def test_an_unknown_option_of_an_estimator_is_refused_with_a_suggestion():
+    made = design(read_library("lipschitz_aircraft"))
+    with pytest.raises(InputError, match=r"an estimator has no option 'shceme': did you mean 'scheme'"):
+        made.estimator(H, shceme="zoh")
+    with pytest.raises(InputError, match="an estimator has no option 'prediction'"):
+        made.estimator(H, prediction=None)
 
 
 @pytest.mark.parametrize("h", [0.0, -1.0, np.nan, np.inf])

@@ -190,6 +190,12 @@ def test_a_start_that_is_told_finds_the_fault_that_is_there():
     np.testing.assert_allclose(estimate.state, x, atol=1e-15)
 
 
+def test_a_scheme_for_smooth_equations_is_refused_in_one_sentence():
+    observer, _ = sliding(AIRCRAFT, [Q_RATE], level=1.25, weight=np.diag([0.5, 1.0, 2.0]))
+    with pytest.raises(InputError, match="which does neither, or scheme='explicit', to see it chatter"):
+        Estimator.build(observer, 0.01, scheme="rk4")
+
+
 # ------------------------------------------------------------ convergence and chatter
 
 

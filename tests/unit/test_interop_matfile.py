@@ -38,7 +38,10 @@ def plants(draw):
     def channels(letter, size):
         ranges = [draw(st.just(math.nan) | POSITIVE) for _ in range(size)]
         units = [draw(st.sampled_from(["", "rad/s", "°C", "m·s⁻¹"])) for _ in range(size)]
-        return Channels(tuple(f"{letter}_{k}" for k in range(size)), tuple(units), tuple(ranges))
+        limited = letter != "x" and draw(st.booleans())
+        limits = [(draw(st.just(-math.inf) | st.floats(-9, -1)), draw(st.just(math.inf) | POSITIVE)) for _ in ranges]
+        names = tuple(f"{letter}_{k}" for k in range(size))
+        return Channels(names, tuple(units), tuple(ranges), tuple(limits) if limited else ())
 
     def table(names):
         return {name: draw(NUMBERS) for name in draw(st.lists(st.sampled_from(names), unique=True))}
@@ -278,3 +281,18 @@ def test_a_truncated_file_is_refused_or_lacks_what_was_cut_and_never_crashes(tmp
             assert "cut.mat" in str(error)
         else:
             assert np.array_equal(plant.C, MATRICES["C"])
+
+
+def test_limits_of_a_file_by_hand_are_read_and_refused_by_name(tmp_path):
+    matrices = {"A": [[-1.0]], "B": [[1.0]], "C": [[1.0]], "y_names": np.array(["h [cm]"], dtype=object)}
+    path = tmp_path / "plant.mat"
+    savemat(path, {**matrices, "u_limits": [[-math.inf, 5.0]], "y_limits": [[0.0, 50.0]], "y_ranges": [[2.0]]})
+    found = read_mat(path).signals
+    assert found.u.limits == ((-math.inf, 5.0),) and found.y.limits == ((0.0, 50.0),)
+    assert (found.y.units, found.y.ranges) == (("cm",), (2.0,))
+    savemat(path, {**matrices, "y_limits": [[0.0], [50.0]]})
+    with pytest.raises(InputError, match=r"y_limits is \(2, 1\): it has a row for each of 1 signals"):
+        read_mat(path)
+    savemat(path, {**matrices, "y_limits": [[50.0, 0.0]]})
+    with pytest.raises(InputError, match=r"plant\.mat: the limits of h are 50 and 0"):
+        read_mat(path)

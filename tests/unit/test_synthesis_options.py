@@ -6,15 +6,19 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from faultrecon.advise.trials import trial_plants
 from faultrecon.diagnosis.limits import reconstruction_floor
 from faultrecon.finding import Impossible, InputError
 from faultrecon.io.library import read_library
 from faultrecon.methods.registry import list_methods, method
 from faultrecon.plant.signals import Noise
 from faultrecon.storage.atomic import write_text
+from faultrecon.synthesis.certify import conforms
+from faultrecon.synthesis.levels import scale
 from faultrecon.synthesis.pipeline import automatic_pole_bound, design, optimum
 
 PLANT = read_library("lipschitz_polynomial")
+BALANCE = next(p for p in trial_plants() if p.name == "balance")
 
 
 def test_a_level_below_the_floor_is_refused_with_both_numbers():
@@ -193,3 +197,29 @@ def test_a_file_that_cannot_be_written_leaves_nothing_behind(tmp_path):
     with pytest.raises(InputError, match="cannot write"):
         write_text(tmp_path / "missing" / "file", "text")
     assert [p.name for p in tmp_path.iterdir()] == ["folder"]
+
+
+def test_a_bound_below_zero_is_refused_since_the_claim_would_not_follow():
+    for ask in (design, optimum):
+        with pytest.raises(InputError, match=r"p_min is -1\.0: below zero .* leave p_min out"):
+            ask(BALANCE, "sliding-mode", fix={"p_min": -1.0})
+
+
+def test_a_bound_at_zero_is_noted_and_one_above_is_not():
+    for value, noted in ((0, True), (1e-3, False)):
+        notes = design(BALANCE, "sliding-mode", fix={"p_min": value}).details.notes
+        assert any("p_min is held at 0: nothing keeps P from losing rank" in note for note in notes) == noted
+
+
+def test_a_bound_cannot_be_set_free():
+    with pytest.raises(InputError, match="p_min is set free"):
+        design(BALANCE, "sliding-mode", free=("p_min",))
+
+
+def test_a_stored_certificate_with_such_a_number_below_zero_does_not_state_its_theorem():
+    made = design(BALANCE, "sliding-mode")
+    assert made.certificate is not None
+    theorem = method("sliding-mode").theorem(BALANCE, scale(BALANCE))
+    assert conforms(made.certificate, theorem)
+    below = {**made.certificate.data, "p_min": {"shape": [1, 1], "hex": [(-1.0).hex()]}}
+    assert not conforms(replace(made.certificate, data=below), theorem)

@@ -9,6 +9,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from faultrecon.advise.trials import reordered
 from faultrecon.finding import Finding
 from faultrecon.graph.function import Graph
 from faultrecon.io.library import read_library
@@ -48,6 +49,14 @@ def test_a_plant_with_a_known_term_is_reordered_with_its_term():
     g = Graph.from_texts(["-position_a"], {"y": PENDULUM.signals.y.names, "u": ["force"], "t": ["t"]})
     plant = replace(PENDULUM, known=KnownTerm(np.array([[0.0], [1.0]]), g))
     assert check_method("lipschitz-hinf", [plant])
+
+
+def test_a_reordered_plant_keeps_units_ranges_and_limits_of_its_sensors():
+    y = replace(PENDULUM.signals.y, ranges=(0.5, 0.25), limits=((-1.0, 1.0), (-np.inf, 3.0)))
+    plant = replace(PENDULUM, signals=replace(PENDULUM.signals, y=y))
+    moved = reordered(plant, [1, 0])
+    assert moved.signals.y.limited() == y.limited() and moved.signals.y.ranges == (0.25, 0.5)
+    assert reordered(moved, [1, 0]).digest() == plant.digest()
 
 
 def test_a_plant_of_a_paper_serves():

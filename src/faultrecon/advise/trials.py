@@ -223,8 +223,12 @@ def awkward(plant: Plant) -> dict[str, Plant]:
 def reordered(plant: Plant, order: list[int]) -> Plant:
     """The same plant with its sensors listed in another order."""
     y, point = plant.signals.y, plant.point
-    names, units, ranges = (tuple(values[k] for k in order) for values in (y.names, y.units, y.ranges))
-    picked = Channels(tuple(map(str, names)), tuple(map(str, units)), tuple(map(float, ranges)))
+    picked = Channels(
+        tuple(y.names[k] for k in order),
+        tuple(y.units[k] for k in order),
+        tuple(y.ranges[k] for k in order),
+        tuple(y.limits[k] for k in order),
+    )
     known = plant.known
     if known is not None:
         g, back = known.g, [order.index(k) for k in range(plant.p)]

@@ -129,19 +129,19 @@ def minimum_phase(plant: Plant) -> Condition:
     growth = np.abs(zeros) - 1.0 if sampled else zeros.real / size
     at_rest = np.abs(zeros - 1.0) if sampled else np.abs(zeros) / size
     # Zeros are eigenvalues of a pencil: a double one is known to the root of its rounding.
-    bad = zeros[(growth >= -1e-8) & (at_rest > 1e-8)]
+    bad = (growth >= -1e-8) & (at_rest > 1e-8)
     name, see = (
         "(A, E_d, C) minimum phase",
         "Huang 2024, section 3, corrected: (TA, C) detectable; Jia 2015, section 2.3",
     )
     n, d = plant.n, E.shape[1]
-    if bad.size:
-        s = complex(bad[int(np.argmax(bad.real))])
+    if bad.any():
+        s = complex(zeros[bad][int(np.argmax(growth[bad]))])
         rank, v = pencil_rank(plant.A, E, plant.C, F, s)[0], pencil_direction(plant.A, E, plant.C, F, s)
         return Condition(name, see, False, 0.0, s, min(rank, n + d - 1), n + d, living_in(plant, v[:n]))
-    inside = zeros[growth < -1e-8]
-    near = -float(np.max(growth[growth < -1e-8], initial=-np.inf))
-    where = complex(inside[int(np.argmax(inside.real))]) if inside.size else None
+    inside = growth < -1e-8
+    near = -float(np.max(growth[inside], initial=-np.inf))
+    where = complex(zeros[inside][int(np.argmax(growth[inside]))]) if inside.any() else None
     return Condition(name, see, True, min(near, 1.0), where, n + d, n + d)
 
 

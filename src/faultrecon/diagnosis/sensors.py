@@ -22,7 +22,7 @@ from faultrecon.numerics.annihilator import annihilator, column_rank
 from faultrecon.numerics.pencil import SlowModes
 from faultrecon.plant.fault import Disturbance
 from faultrecon.plant.plant import Plant
-from faultrecon.plant.signals import NAME, Channels, Noise
+from faultrecon.plant.signals import NAME, UNLIMITED, Channels, Noise
 
 Array = NDArray[Any]
 
@@ -126,7 +126,7 @@ def with_sensor(plant: Plant, extra: Candidate) -> Plant:
     if not (math.isfinite(extra.noise) and extra.noise >= 0):
         raise InputError(f"the sensor {extra.name} has noise {extra.noise:g}", why="it is finite and not negative")
     y = plant.signals.y
-    channels = Channels((*y.names, extra.name), (*y.units, extra.unit), (*y.ranges, math.nan))
+    channels = Channels((*y.names, extra.name), (*y.units, extra.unit), (*y.ranges, math.nan), (*y.limits, UNLIMITED))
     noise, disturbances = plant.noise, plant.disturbances
     if extra.noise:
         own = Disturbance(f"noise of {extra.name}", on={extra.name: 1.0}, size=extra.noise)

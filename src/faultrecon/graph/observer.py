@@ -36,6 +36,7 @@ class NonlinearTerm:
     """N φ(sat(S z + S_v v + s0), u, t): into N (nz, r), reads S (s, nz), offset s0 (s,), limits lower and upper (s,).
 
     direct: S_v (s, m+p), for observers whose x̂ reads the samples themselves; None where it is zero.
+    flat: whether it has no slope where the observer settles, so that A and B say how small signals pass.
     """
 
     into: Array
@@ -45,6 +46,7 @@ class NonlinearTerm:
     upper: Array
     phi: Graph
     direct: Array | None = None
+    flat: bool = False
 
 
 @dataclass(frozen=True, eq=False)

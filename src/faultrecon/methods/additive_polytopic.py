@@ -6,7 +6,9 @@
 What a lost gain takes away from a sensor is a signal like any other, and with it the innovation has constant
 coefficients: C e_x + e_a.  So each vertex of A(z) may have a gain of its own, nothing is multiplied with anything, and
 the box may be as wide as the plant is stable.  The price: a moves whenever h does, for a constant gain too, and is
-taken for a random walk all the same.  The observer's states are x̂ and f̂ = â/ĥ themselves.
+taken for a random walk all the same.  The observer's states are x̂ and f̂ = â/ĥ themselves, so f̂ moves at a rate
+that grows as ĥ fades; below the smallest reading in the box it is divided by that reading instead, since no step is
+short enough for a division by nearly nothing.
 """
 
 from __future__ import annotations
@@ -27,6 +29,7 @@ from faultrecon.methods.scaled_sensors import (
     expected,
     faded,
     innovation,
+    least_readings,
     memberships,
     model,
     observer_of,
@@ -74,7 +77,8 @@ class TsAdditive(GuaranteedVariance):
         """x̂' = f(x̂, u) + G_x ν and f̂' = (â' - f̂ ĥ')/ĥ with ĥ' = C x̂'; f̂ holds where ĥ has faded."""
         import casadi as ca
 
-        sector, rows, least, n = Sector.of(plant), own_rows(plant), faded(plant), plant.n
+        sector, rows, n = Sector.of(plant), own_rows(plant), plant.n
+        gone, least = faded(plant), least_readings(plant)
         names = self.gain_names(len(sector.vertices))
 
         def correction(x: Any, f: Any, y: Any, u: Any) -> Any:
@@ -85,8 +89,10 @@ class TsAdditive(GuaranteedVariance):
             rise = ca.DM(plant.C) @ (model(plant, x, u, ca.SX(0)) + push[:n])
             moves = []
             for j, i in enumerate(rows):
-                slope = (push[n + j] / float(plant.F_f[i, j]) - f[j] * rise[i]) / h[i]
-                moves.append(ca.if_else(ca.fabs(h[i]) >= float(least[i]), slope, 0.0))
+                # sign(h) max(|h|, least): within the box it is h.
+                by = ca.if_else(ca.fabs(h[i]) >= float(least[i]), h[i], ca.sign(h[i]) * float(least[i]))
+                slope = (push[n + j] / float(plant.F_f[i, j]) - f[j] * rise[i]) / by
+                moves.append(ca.if_else(ca.fabs(h[i]) >= float(gone[i]), slope, 0.0))
             return ca.vertcat(push[:n], *moves)
 
         return observer_of(plant, correction)

@@ -90,6 +90,7 @@ class Theorem:
     that has one of its own names the expression whose largest eigenvalue is then to be least in `mildest`, and says so in `criterion`.
     drifts: the drift at every vertex, where there are several; the pole bound then holds for each.
     bases: given letters that any matrices may stand for that pass the identities: coordinates, found by the method.
+    bounds: letters among `fixed` below whose zero the inequalities do not give the claim, and what is lost at zero.
     """
 
     number: str
@@ -113,6 +114,7 @@ class Theorem:
     criterion: str = "the mildest gains: least largest eigenvalue of P"
     drifts: Sequence[Expr] = ()
     bases: Sequence[str] = ()
+    bounds: Mapping[str, str] = field(default_factory=dict)
 
     def objective(self, level: float) -> float:
         """What is minimised, at a level γ."""

@@ -17,6 +17,7 @@ from faultrecon.diagnosis.decoupling import attenuated_selection, decoupled_sele
 from faultrecon.graph.observer import CopiedTerm, Observer
 from faultrecon.lmi.expr import Expr, I, Inequality, __, given, let, sym, unknown
 from faultrecon.methods.base import Identity, Scaling, deviations, letters, lipschitz_scope
+from faultrecon.methods.fault_state import below, padded
 from faultrecon.numerics.scaling import spectral_norm, state_scaling
 from faultrecon.plant.plant import Plant
 
@@ -201,11 +202,10 @@ def _with_terms(made: Observer, J: Array, k: int) -> Observer:
     """φ reads x̂, samples among them, and enters through J; g likewise."""
     term, copied = made.nonlinear, made.copied
     if term is not None:
-        into = np.vstack([J @ term.into, np.zeros((k, term.into.shape[1]))])
         H = term.reads
-        term = replace(term, into=into, reads=H @ made.Cx, direct=H @ made.Dx)
+        term = replace(term, into=below(J @ term.into, k), reads=H @ made.Cx, direct=H @ made.Dx)
     if copied is not None:
-        copied = CopiedTerm(np.vstack([J @ copied.into, np.zeros((k, copied.into.shape[1]))]), copied.g)
+        copied = padded(CopiedTerm(J @ copied.into, copied.g), k)
     return replace(made, nonlinear=term, copied=copied)
 
 

@@ -15,9 +15,10 @@ from numpy.typing import NDArray
 from faultrecon.diagnosis.existence import additive_sensor_findings, fault_findings
 from faultrecon.diagnosis.limits import Floor, hidden_floor
 from faultrecon.finding import Finding
-from faultrecon.graph.observer import CopiedTerm, Observer
+from faultrecon.graph.observer import Observer
 from faultrecon.lmi.expr import I, __, given, let, sym, unknown
-from faultrecon.methods.base import Identity, Method, Scaling, Theorem, deviations, letters
+from faultrecon.methods.base import Identity, Method, Scaling, Theorem, letters
+from faultrecon.methods.fault_state import fault_state_observer, with_fault_state
 from faultrecon.methods.papers import ALWI_2009
 from faultrecon.numerics.pencil import undetectable_modes
 from faultrecon.plant.plant import Plant
@@ -49,7 +50,7 @@ class LinearObserver(Method):
                     see="Alwi 2009, section 2",
                 )
             ]
-        A, C = _augmented(plant)
+        A, C = with_fault_state(plant)
         modes = undetectable_modes(A, C)
         if not modes:
             return []
@@ -104,27 +105,7 @@ class LinearObserver(Method):
 
     def observer(self, plant: Plant, gains: Mapping[str, Array]) -> Observer:
         """z = [x̂; f̂], corrected by y - C x̂ - F f̂ - D u."""
-        base, K = deviations(plant), gains["K"]
-        A, C = _augmented(plant)
-        n, q, (p, m) = plant.n, len(plant.faults), plant.D.shape
-        if (copied := base["copied"]) is not None:
-            base["copied"] = CopiedTerm(np.vstack([copied.into, np.zeros((q, copied.into.shape[1]))]), copied.g)
-        return Observer(
-            A=A - K @ C,
-            B=np.hstack([np.vstack([plant.B, np.zeros((q, m))]) - K @ plant.D, K]),
-            Cx=np.eye(n, n + q),
-            Dx=np.zeros((n, m + p)),
-            Cf=np.eye(q, n + q, n),
-            Df=np.zeros((q, m + p)),
-            F=plant.F_f,
-            **base,
-        )
-
-
-def _augmented(plant: Plant) -> tuple[Array, Array]:
-    """([A 0; 0 0], [C F]) of the state [x; f]."""
-    n, q = plant.n, len(plant.faults)
-    return np.block([[plant.A, np.zeros((n, q))], [np.zeros((q, n + q))]]), np.hstack([plant.C, plant.F_f])
+        return fault_state_observer(plant, gains["K"])
 
 
 def _ranges(plant: Plant) -> Array:

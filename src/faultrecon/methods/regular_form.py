@@ -6,7 +6,7 @@ Regular form: x = K ξ1 + C⁺ ξ2, ξ2 = C x what is measured and ξ1 what is n
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from faultrecon.finding import Finding, Inconclusive
 from faultrecon.methods.base import deviations
+from faultrecon.methods.fault_state import padded
 from faultrecon.numerics.annihilator import column_rank
 from faultrecon.numerics.riccati import filter_riccati
 from faultrecon.numerics.scaling import spectral_norm
@@ -159,11 +160,7 @@ def ranges(declared: tuple[float, ...]) -> Array:
 def linear_parts(plant: Plant, states: int) -> dict[str, Any]:
     """`deviations` for an observer whose first states are the plant's, of `states` in all."""
     parts = deviations(plant)
-    term = parts["copied"]
-    if term is not None:
-        rest = np.zeros((states - plant.n, term.into.shape[1]))
-        parts["copied"] = replace(term, into=np.vstack([term.into, rest]))
-    return parts
+    return parts | {"copied": padded(parts["copied"], states - plant.n)}
 
 
 def scalars(**values: float) -> dict[str, Array]:

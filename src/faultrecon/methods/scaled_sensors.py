@@ -96,7 +96,7 @@ def noise_intensity(plant: Plant, *, divided: bool) -> Array:
     found = np.hstack(columns)
     if not divided:
         return found
-    least = np.array([min(abs(a), abs(b)) for a, b in readings(plant)])
+    least = least_readings(plant)
     by = np.where(plant.F_f.any(axis=1) & (least > 0), least, 1.0)
     return found / by[:, None]
 
@@ -143,9 +143,12 @@ def expected(plant: Plant, x: Any, u: Any) -> Any:
 
 def faded(plant: Plant) -> Array:
     """Readings below which a sensor shows nothing of its gain, (p,)."""
-    if plant.polytopic is None:
-        return FADING * np.abs(plant.point.y)
-    return FADING * np.array([min(abs(a), abs(b)) for a, b in readings(plant)])
+    return FADING * (np.abs(plant.point.y) if plant.polytopic is None else least_readings(plant))
+
+
+def least_readings(plant: Plant) -> Array:
+    """The smallest reading in the box, (p,)."""
+    return np.array([min(abs(a), abs(b)) for a, b in readings(plant)])
 
 
 def model(plant: Plant, x: Any, u: Any, t: Any) -> Any:

@@ -36,9 +36,10 @@ from faultrecon.diagnosis.sliding import (
     with_hidden_mode,
 )
 from faultrecon.finding import Finding
-from faultrecon.graph.observer import CopiedTerm, Injection, Observer
+from faultrecon.graph.observer import Injection, Observer
 from faultrecon.lmi.expr import Expr, I, Inequality, __, let, sym, unknown, zeros
-from faultrecon.methods.base import ClosedForm, Method, Reproduction, Scaling, Theorem, deviations
+from faultrecon.methods.base import ClosedForm, Method, Reproduction, Scaling, Theorem
+from faultrecon.methods.fault_state import fault_state_observer, with_fault_state
 from faultrecon.methods.papers import ALWI_2009
 from faultrecon.methods.sliding_letters import (
     AugmentedLetters,
@@ -67,6 +68,7 @@ Array = NDArray[np.float64]
 FICTITIOUS = (0.1, 0.01)  # noises of healthy outputs and states that make the reduced Riccati equation regular
 LEEWAY = 1e-3  # how far below the level its gains are computed, so that multipliers prove it strictly
 LINEAR_LEVEL = "γ is the level without the injection; while it slides the error does not depend on the fault at all"
+BOUNDS = {"p_min": "nothing keeps P from losing rank near the optimum, and the gains from growing without bound"}
 OUTPUTS_FASTER = 3.0  # times the sliding motion: how errors of the outputs decay without the injection
 
 
@@ -150,6 +152,7 @@ class SlidingMode(Method):
             identities=[*m.identities(), *no_direct(m, exact)],
             claim=self._claim(plant, exact), scope=_scope(plant),
             fixed=held_fixed(plant) | ({"decay": decay_rate(plant)} if exact else {}), bases=m.bases,
+            bounds=BOUNDS,
         )
 
     def theorem_46(self, plant: Plant) -> Theorem:
@@ -173,7 +176,7 @@ class SlidingMode(Method):
             lyapunov=P, drift=m.U*(P@m.A - Y@m.C), readout=m.E, noise=m.U*Y@m.noise,
             identities=[*m.identities(), *no_direct(m, True)],
             claim=self._claim(plant, True), scope=_scope(plant),
-            fixed={k: v for k, v in fixed.items() if k != "γ₀"}, bases=m.bases,
+            fixed={k: v for k, v in fixed.items() if k != "γ₀"}, bases=m.bases, bounds=BOUNDS,
         )
 
     def _linear_part(self, m: AugmentedLetters, P: Expr, P12: Expr, P11: Expr, levels: tuple[Expr, Expr], exact: bool) -> tuple[Inequality, dict[Expr, Expr], dict[Expr, Expr], Expr]:
@@ -210,34 +213,18 @@ class SlidingMode(Method):
 
     def observer(self, plant: Plant, gains: Mapping[str, Array]) -> Observer:
         """(25) to (27) in the plant's own coordinates: z = [x̂; f̂], innovation S (C x̂ + F f̂ + D u - y)."""
-        base, own = deviations(plant), coordinates(plant)
-        n, q, (p, m) = plant.n, len(plant.faults), plant.D.shape
-        A = np.block([[plant.A, np.zeros((n, q))], [np.zeros((q, n + q))]])
-        C = np.hstack([plant.C, plant.F_f])
+        own, (_, C) = coordinates(plant), with_fault_state(plant)
         G_l, L = gains["G_l"], sliding_gain(plant, gains)
         weight = own.Si.T @ gains["P0"] @ own.Si
-        copied = base["copied"]
-        if copied is not None:
-            base["copied"] = CopiedTerm(np.vstack([copied.into, np.zeros((q, copied.into.shape[1]))]), copied.g)
         injection = Injection(
             linear=G_l @ own.Si,
             into=gains["G_n"],
             reads=own.S @ C,
-            direct=own.S @ np.hstack([plant.D, -np.eye(p)]),
+            direct=own.S @ np.hstack([plant.D, -np.eye(plant.p)]),
             weight=0.5 * (weight + weight.T),
             bound=suggested_bound(plant, L),
         )
-        return Observer(
-            A=A - G_l @ C,
-            B=np.hstack([np.vstack([plant.B, np.zeros((q, m))]) - G_l @ plant.D, G_l]),
-            Cx=np.eye(n, n + q),
-            Dx=np.zeros((n, m + p)),
-            Cf=np.eye(q, n + q, n),
-            Df=np.zeros((q, m + p)),
-            F=plant.F_f,
-            injections=(injection,),
-            **base,
-        )
+        return fault_state_observer(plant, G_l, (injection,))
 
     def notes(self, plant: Plant, gains: Mapping[str, Array]) -> tuple[str, ...]:
         """The sliding motion's poles, its gains, the injection's bound, and what the linear part alone would do."""

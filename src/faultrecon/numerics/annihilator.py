@@ -23,10 +23,11 @@ def column_rank(F: ArrayLike) -> int:
 
 
 def annihilator(F: ArrayLike) -> Array:
-    """Rows N (p - q, p) with N F = 0, for F (p, q) whose q columns that are not zero are independent.
+    """Rows N (p - r, p) with N F = 0, for F (p, q) of rank r: all that the faults cannot reach.
 
     When each fault sits on a sensor of its own, the rows that pick the other sensors.  Otherwise a rational null space,
-    N F = 0 without rounding where its entries fit in 53 bits.
+    N F = 0 without rounding where its entries fit in 53 bits.  The rank is the exact one: columns that floats hold as
+    dependent count once, those that rounding has made independent count each.
     """
     F = np.asarray(F, dtype=float)
     F = F[:, np.any(F != 0, axis=0)]  # a fault that reaches no output costs none
@@ -34,7 +35,7 @@ def annihilator(F: ArrayLike) -> Array:
     reached = np.any(F != 0, axis=1)
     touched = np.flatnonzero(reached)
     pick = np.eye(p)[~reached]
-    if len(touched) == q:
+    if len(touched) == q == np.count_nonzero(F):
         return pick
     inner = _rational_null(F[touched])
     mixed = np.zeros((inner.shape[0], p))
@@ -50,15 +51,17 @@ def _rational_null(F: Array) -> Array:
     """
     p, q = F.shape
     rows = [[Fraction(v) for v in row] + [Fraction(int(i == j)) for j in range(p)] for i, row in enumerate(F)]
+    rank = 0
     for j in range(q):
-        pivot = max(range(j, p), key=lambda i: abs(rows[i][j]))
-        if rows[pivot][j] == 0:
-            continue  # a dependent column: the diagnosis has already said so
-        rows[j], rows[pivot] = rows[pivot], rows[j]
-        for i in range(j + 1, p):
-            factor = rows[i][j] / rows[j][j]
-            rows[i] = [a - factor * b for a, b in zip(rows[i], rows[j], strict=True)]
-    return np.array([_row(row[q:]) for row in rows[q:]]).reshape(p - q, p)
+        pivot = max(range(rank, p), key=lambda i: abs(rows[i][j]), default=rank)
+        if rank == p or rows[pivot][j] == 0:
+            continue  # a column that depends on those before it reaches nothing more
+        rows[rank], rows[pivot] = rows[pivot], rows[rank]
+        for i in range(rank + 1, p):
+            factor = rows[i][j] / rows[rank][j]
+            rows[i] = [a - factor * b for a, b in zip(rows[i], rows[rank], strict=True)]
+        rank += 1
+    return np.array([_row(row[q:]) for row in rows[rank:]]).reshape(p - rank, p)
 
 
 def _row(values: list[Fraction]) -> list[float]:

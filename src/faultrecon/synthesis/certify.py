@@ -89,7 +89,7 @@ def conforms(made: Certificate, theorem: Theorem) -> bool:
 
     Claim, scope, definitions and steps have to be the theorem's own, and so do its given matrices (the plant's, and
     those like N and F⁺ that the observer derives again); the units T and R, coordinates that the theorem calls bases,
-    multipliers, gains and the level are free.
+    multipliers, gains and the level are free, but for the sign of what the theorem calls bounds.
     """
     claims = _claims(theorem)
     exprs = [expr for _, _, expr, _ in claims]
@@ -98,8 +98,9 @@ def conforms(made: Certificate, theorem: Theorem) -> bool:
     ships = {u.name: u.shape for u in theorem.gains} == {k: tuple(v["shape"]) for k, v in made.gains.items()}
     stored = {**made.data, **{f"plant.{k}": v for k, v in made.plant["matrices"].items()}}
     givens, free = leaves(exprs, "given"), {*UNITS, *theorem.bases}
+    sure = all(np.all(gains_from({k: stored[k]})[k] >= 0) for k in theorem.bounds if k in stored)
     alike = all(stored.get(k) == exact_matrix(leaf.args[1]) for k, leaf in givens.items() if k not in free)
-    return words and same and ships and alike and made.level > 0
+    return words and same and ships and sure and alike and made.level > 0
 
 
 UNITS = ("T", "T⁻¹", "R", "R⁻¹", "U", "U⁻¹")

@@ -96,7 +96,25 @@ def pose(
     fixed = {k: v for k, v in theorem.fixed.items() if k not in released} | held
     posed = Posed(method, plant, scaling, theorem, fixed, pole_bound)
     _ = posed.problem().held  # a wrong name, shape or value is refused here, whichever route is taken later
+    for name in theorem.bounds:
+        _demand_bound(name, fixed.get(name), theorem)
     return posed
+
+
+def _demand_bound(name: str, value: Any, theorem: Theorem) -> None:
+    if value is None or not np.all(np.asarray(value, float) >= 0):
+        raise InputError(
+            f"{name} is set free" if value is None else f"{name} is {value}",
+            why="below zero the inequalities do not give the claim",
+            evidence={name: value},
+            remedies=(f"leave {name} out: it is then {theorem.fixed[name]:g}", "hold it at a small positive number"),
+        )
+
+
+def at_zero(posed: Posed) -> tuple[str, ...]:
+    """What is lost by bounds that somebody holds at zero."""
+    lost = posed.theorem.bounds.items()
+    return tuple(f"{name} is held at 0: {what}" for name, what in lost if not np.any(posed.fixed[name]))
 
 
 ASCII = {

@@ -21,7 +21,7 @@ from faultrecon.numerics.level import LevelSolution
 from faultrecon.plant.plant import Plant
 from faultrecon.synthesis import riccati_route
 from faultrecon.synthesis.ladder import Central, climb, pick
-from faultrecon.synthesis.levels import INSIDE, Posed, pose
+from faultrecon.synthesis.levels import INSIDE, Posed, at_zero, pose
 from faultrecon.synthesis.refusals import below_floor, below_method, no_answer, no_proof, no_solution
 from faultrecon.synthesis.report import describe
 from faultrecon.synthesis.result import Design
@@ -106,7 +106,7 @@ def design(
         bounded_optimum=bounded if posed.pole_bound is not None else None,
         attempts=tuple(str(rung) for rung in rungs),
         seconds=time.perf_counter() - started,
-        notes=(*notes, *chosen.notes(plant, proven.gains), *(str(f) for f in findings)),
+        notes=(*notes, *at_zero(posed), *chosen.notes(plant, proven.gains), *(str(f) for f in findings)),
     )
     result = Design(plant, method, proven.gains, best, proven.level, floor, proven.certificate, details)
     result.__dict__["verification"] = proven.verification  # fills the cached property: the proof is not run twice

@@ -62,13 +62,18 @@ class DesignReport:
 
 
 def fault_noise(plant: Plant, observer: Observer) -> dict[str, float] | None:
-    """Standard deviation of each f̂ under the declared sensor noise, held per sample: f̂ = Cf z + Df v, linear part."""
+    """Standard deviation of each f̂ under the declared sensor noise, held per sample: f̂ = Cf z + Df v, linear part.
+
+    Of a filter with a covariance it is that of the filter once the covariance has settled.
+    """
     if plant.noise is None or np.any(np.real(observer.rates) >= 0):
         return None
     m = observer.inputs
     variances = np.square(plant.noise.sd)
     B, term = observer.B[:, m:], observer.nonlinear
-    if term is not None and term.direct is not None:  # y may enter through the nonlinear part: to first order, at rest
+    if (
+        term is not None and term.direct is not None and not term.flat
+    ):  # y may enter through the nonlinear part: to first order, at rest
         slope = term.phi.jacobian("x")(term.offset, observer.u0, [0.0])
         B = B + term.into @ slope @ term.direct[:, m:]
     if observer.sample_time is None:

@@ -6,13 +6,14 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from inspect import signature
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from faultrecon.certificate import Certificate, Verification
-from faultrecon.finding import InputError
+from faultrecon.finding import InputError, did_you_mean
 from faultrecon.graph.observer import Observer
 from faultrecon.methods.registry import method as method_named
 from faultrecon.plant.plant import Plant
@@ -63,6 +64,11 @@ class Design:
         from faultrecon.runtime.estimator import Estimator
         from faultrecon.runtime.filling import Prediction
 
+        known = [k for k, p in signature(Estimator.build).parameters.items() if p.kind is p.KEYWORD_ONLY]
+        known.remove("prediction")  # it is the plant's
+        for name in options:
+            if name not in known:
+                raise InputError(f"an estimator has no option '{name}'", why=did_you_mean(name, known))
         prediction = Prediction(self.plant.C, self.plant.D)
         return Estimator.build(self.observer, self._sample_time(sample_time), prediction=prediction, **options)
 
