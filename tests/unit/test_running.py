@@ -357,7 +357,7 @@ def test_the_verb_runs_a_piece_at_a_time_with_a_checkpoint_or_when_the_log_is_la
     assert code == 0 and "a piece at a time" not in whole
     code, text, _ = cli("run", saved, log, "--out", outs[1], "--checkpoint", tmp_path / "c.json")
     assert code == 0 and "a piece at a time" in text and not (tmp_path / "c.json").exists()
-    monkeypatch.setattr("faultrecon.cli.replaying.LARGE", 1000)
+    monkeypatch.setattr("faultrecon.cli.keeping.LARGE", 1000)
     found = json.loads(cli("run", saved, log, "--out", outs[2], "--json")[1])
     assert found["engine"] == "casadi" and found["resumed_at"] == 0 and found["written"] == str(outs[2])
     assert len({out.read_bytes() for out in outs}) == 1

@@ -25,6 +25,11 @@ from faultrecon.synthesis.bank import Bank
 
 Array = NDArray[Any]
 
+UNDECIDED = (
+    "  nothing could be decided: at no time was enough of the start or of a gap forgotten; a longer log, fewer gaps,"
+    " or declared ranges of states and inputs would help"
+)
+
 
 @dataclass(frozen=True, eq=False)
 class Watched:
@@ -65,8 +70,8 @@ class Watched:
         lines = [f"{self.source}: {c.received} rows in, {len(t)} out over {t[-1] - t[0]:g} s" if len(t) else "no rows"]
         lines += [f"  {finding}" for finding in self.supervision.intake.findings(c)]
         lines += [f"  not tested: {name}; {finding}" for name, finding in self.monitor.refused.items()]
-        told = [e for e in self.events if e.mode != "warming"]
-        return "\n".join([*lines, *(f"  {event}" for event in told)])
+        told = [f"  {event}" for event in self.events if event.mode != "warming"]
+        return "\n".join([*lines, *(told or [UNDECIDED] * bool(len(t)))])
 
 
 def watch(
