@@ -96,7 +96,7 @@ def plain_text(function: Callable[..., Any], **constants: float) -> str:
     """The source of a function of this package as a program takes it: annotations off, named constants put in."""
     head, body = inspect.getsource(function).split('"""', 1)
     arguments = ", ".join(inspect.signature(function).parameters)
-    text = f"{head[: head.index('(')]}({arguments}):\n    \"\"\"{body}"
+    text = f'{head[: head.index("(")]}({arguments}):\n    """{body}'
     for name, value in constants.items():
         text = re.sub(rf"\b{name}\b", repr(value), text)
     return text
