@@ -10,11 +10,11 @@ from hypothesis import settings
 from hypothesis import strategies as st
 
 from faultrecon.lmi.exact import DyadicAlgebra, integers, letters_from, read_tree
-from faultrecon.lmi.expr import I, Inequality, __, given, let, sym, unknown
-from faultrecon.lmi.problem import Problem
+from faultrecon.lmi.expr import I, Inequality, __, blocks, given, let, sym, unknown
+from faultrecon.lmi.problem import Problem, freedom
 from faultrecon.lmi.prove import exact, fast_algebra, statement, tree
-from faultrecon.lmi.solve import conic_data
-from faultrecon.lmi.walk import leaves, value_of
+from faultrecon.lmi.solve import MANY, conic_data
+from faultrecon.lmi.walk import leaves, substitute, value_of
 
 EPS = np.finfo(float).eps
 SIZES = st.integers(1, 4), st.integers(0, 3), st.integers(0, 2)
@@ -204,3 +204,35 @@ def test_the_statement_of_a_negative_claim_is_about_its_positive_side():
     made = statement(Inequality(P, "<"), {"P": -np.eye(2)})
     assert made.tree == ["neg", "P"]
     assert made.prove().verdict == "proved"
+
+
+@settings(max_examples=40, deadline=None)
+@forall(st.integers(0, 2**32 - 1), *SIZES, st.sampled_from([0.0, 1e-4]), st.booleans(), st.booleans(), st.booleans())
+def test_inequalities_read_together_give_the_arrays_of_each_read_alone(seed, n, p, m, margin, nearby, held, bare):
+    rng = np.random.default_rng(seed)
+    stated = [inequality(rng, n, p, m, 1.0)[0] for _ in range(MANY)]
+    P, Z, β = (leaves([stated[0].expr], "unknown").get(name) for name in "PZβ")
+    own = {"P": P, "Z": Z, "β": β}
+    claims = [substitute([i.expr], {k: v for k, v in own.items() if v is not None})[0] for i in stated]
+    # Positive and negative claims, whole matrices and sums of them, one that is no block, one block inside another.
+    mixed = [Inequality(e, "<" if k % 2 else ">") for k, e in enumerate(claims)]
+    mixed += [P - I(n) * 0.5 > 0, sym([[claims[0], 0], [__, -β * I(2)]]) < 0]
+    if bare:
+        mixed += [Inequality(claims[1] + 2 * claims[2], "<"), blocks([[P, 2 * P], [P, P]]) > 0]
+    fixed = {"β": 0.75} if held else {}
+    together = Problem(mixed, None, fixed)
+    near = 1 + rng.random(together.size) if nearby else None
+    data = conic_data(together, margin, near)
+    M, at = data.M.toarray(), 0
+    for k, claim in enumerate(mixed):
+        alone = Problem(
+            [claim], None, {name: v for name, v in fixed.items() if name in leaves([claim.expr], "unknown")}
+        )
+        columns = np.concatenate([together.offsets[x] + np.arange(freedom(leaf)) for x, leaf in alone.unknowns.items()])
+        one = conic_data(alone, margin, None if near is None else near[columns])
+        rows, at = slice(at, at + len(one.b)), at + len(one.b)
+        assert data.sizes[k] == one.sizes[0]
+        assert np.array_equal(data.b[rows], one.b)
+        # Sums of products may be taken in another order: a few roundings of numbers of about one.
+        assert np.allclose(M[rows][:, columns], one.M.toarray(), rtol=0, atol=64 * EPS * (1 + np.abs(one.M).max()))
+        assert not np.delete(M[rows], columns, axis=1).any()

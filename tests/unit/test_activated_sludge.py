@@ -8,9 +8,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from pyarrow import csv
 
 import faultrecon as fr
 from faultrecon.advise.activated_sludge import TANKS, Case, changed, fit_of, fouling, reactor, recording
+from faultrecon.advise.fouling_demo import MODEL, SHOWN, activated_sludge_demo
 from faultrecon.methods.registry import method
 
 SHIPPED = Path(str(files("faultrecon") / "data" / "activated_sludge"))
@@ -19,9 +21,17 @@ FIT = Path(__file__).parents[2] / "examples" / "activated_sludge" / "fit.py"
 
 
 @pytest.fixture(scope="module")
-def found():
-    """The methods that need no more than a second each."""
-    return fouling(methods=["simulate-invert", "ts-guaranteed-cost"])
+def written(tmp_path_factory):
+    """The demonstration with the two methods of its figure, a second each, and the parts done that it told."""
+    told: list[float] = []
+    out = tmp_path_factory.mktemp("demo") / "new"
+    return activated_sludge_demo(out, progress=told.append, methods=[SHOWN]), told
+
+
+@pytest.fixture(scope="module")
+def found(written):
+    """What that found."""
+    return written[0]
 
 
 @pytest.mark.parametrize("tank", TANKS)
@@ -105,6 +115,26 @@ def test_one_percent_of_the_feed_analyser_is_about_one_percent_of_the_gain(found
         assert one.gauges["feed analyser"] == pytest.approx(-0.01, rel=0.1)
 
 
+def test_the_additive_design_stays_finite_where_the_reading_nearly_vanishes():
+    (one,) = fouling(["last_tank"], ["ts-additive"]).found
+    case = Case.of("last_tank")
+    low = recording("last_tank").y.min() / case.plant.polytopic.boxes["x"][1][0]
+    assert low < 0.1  # a tenth of the smallest reading of the box: 1/ĥ would ask for steps ten times as short
+    f_hat = case.estimate(fr.design(case.plant, "ts-additive"))
+    assert np.isfinite(f_hat).all() and np.abs(f_hat).max() < 2.0
+    # Inside the box nothing is changed, and the estimate is as good as those of its neighbours, 0.07 to 0.18.
+    assert one.within < 0.12 < one.rmse
+
+
+def test_a_reading_of_exactly_nothing_moves_the_additive_estimate_by_no_more_than_a_hold():
+    plant = reactor("first_tank")
+    observer = method("ts-additive").observer(plant, fr.design(plant, "ts-additive").gains)
+    term = observer.nonlinear
+    empty = np.array([130.0, 0.0, 0.2, 0.0])  # [x̂; f̂; y], no ammonium and none shown
+    rate = observer.A @ np.array([0.0, -plant.point.x[1], 0.2]) + term.phi(empty, np.array(plant.point.u), [0.0])
+    assert np.isfinite(rate).all()
+
+
 def test_the_published_design_estimates_nothing_on_this_plant_either():
     (one,) = fouling(["first_tank"], ["ts-published"]).found
     f = Case.of("first_tank").f
@@ -132,3 +162,43 @@ def test_the_report_holds_every_method_its_budget_and_the_gauges(found):
         assert word in text
     plain = json.loads(json.dumps(found.as_dict()))
     assert {row["method"] for row in plain["found"]} == {"simulate-invert", "ts-guaranteed-cost"}
+
+
+# ---------------------------------------------------------------- the demonstration
+
+
+def test_the_files_it_names_are_there_and_no_others(written):
+    found, told = written
+    names = {"table.csv", "fouling.png", *(f"{t}_{what}" for t in TANKS for what in ("design.json", "corrected.csv"))}
+    assert {path.name for path in found.written} == names
+    assert {path.name for path in found.written[0].parent.iterdir()} == names
+    assert told == sorted(told) and told[-1] == 1.0
+
+
+def test_the_table_holds_a_row_for_each_method_and_tank(written):
+    table = csv.read_csv(written[0].written[0].parent / "table.csv").to_pydict()
+    pairs = list(zip(table["tank"], table["method"], strict=True))
+    assert sorted(pairs) == sorted((t, m) for t in TANKS for m in (SHOWN, MODEL))
+    k = pairs.index(("first_tank", SHOWN))
+    assert table["rmse"][k] == written[0].of("first_tank", SHOWN).rmse
+
+
+def test_the_corrected_log_is_nearer_to_the_true_ammonium_than_the_measured_one(written):
+    for tank in TANKS:
+        table = csv.read_csv(written[0].written[0].parent / f"{tank}_corrected.csv").to_pydict()
+        true, late = recording(tank).extra["true_x_substrate"], slice(-1000, None)
+        sensor = reactor(tank).signals.y.names[0]
+        off = {name: np.std((np.array(table[name]) - true)[late]) for name in (sensor, f"{sensor}_corrected")}
+        assert off[f"{sensor}_corrected"] < 0.5 * off[sensor]
+
+
+def test_what_ships_is_conditional_and_verifies_as_such(written):
+    for tank in TANKS:
+        path = written[0].written[0].parent / f"{tank}_design.json"
+        assert fr.verify(str(path)).verdict == "assumed"
+
+
+def test_it_says_what_it_wrote_in_text_and_in_json(written):
+    found = written[0]
+    assert f"wrote {found.written[-1]}" in str(found)
+    assert json.loads(json.dumps(found.as_dict()))["written"] == [str(path) for path in found.written]

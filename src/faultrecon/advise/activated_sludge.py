@@ -15,6 +15,7 @@ from dataclasses import asdict, dataclass, replace
 from functools import cache
 from importlib.resources import as_file, files
 from importlib.resources.abc import Traversable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -98,11 +99,16 @@ class Found:
 
 @dataclass(frozen=True)
 class Fouling:
-    """All methods on all logs, those that found no gains or diverged with the reason, and the size of the fault."""
+    """All methods on all logs, those that found no gains or diverged with the reason, and the size of the fault.
+
+    written: the files of a demonstration; note: what it says about them.
+    """
 
     size: float
     found: tuple[Found, ...]
     refused: Mapping[tuple[str, str], str]
+    written: tuple[Path, ...] = ()
+    note: str = ""
 
     def of(self, tank: str, method: str) -> Found:
         """One of them.  Raises InputError when it was refused or is none."""
@@ -115,7 +121,8 @@ class Fouling:
     def as_dict(self) -> dict[str, Any]:
         """Plain values for `--json`."""
         refused = [{"tank": t, "method": m, "why": why} for (t, m), why in self.refused.items()]
-        return {"size": self.size, "found": [f.as_dict() for f in self.found], "refused": refused}
+        plain = {"size": self.size, "found": [f.as_dict() for f in self.found], "refused": refused}
+        return plain | {"written": [str(path) for path in self.written], "note": self.note}
 
     def __str__(self) -> str:
         head = f"RMSE of the lost gain over its size, {self.size:g}; expected: root of the sum of squares of its parts"
@@ -130,7 +137,8 @@ class Fouling:
         for f in self.found:
             lines.append(f"{f.tank:11} {f.method:22} " + ", ".join(f"{k} {v:+.4f}" for k, v in f.gauges.items()))
         lines += ["", *(f"{tank}: {name}: {why}" for (tank, name), why in self.refused.items())]
-        return "\n".join([*lines, WORDS])
+        lines += [WORDS, *(f"wrote {path}" for path in self.written)]
+        return "\n".join([*lines, self.note] if self.note else lines)
 
 
 _HEADER = (

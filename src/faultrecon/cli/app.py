@@ -277,9 +277,12 @@ def _mapping(pairs: list[str]) -> dict[str, str]:
     return mapping
 
 
+DEMONSTRATIONS = "Which demonstration: airliner, fighter, which-sensor or activated-sludge."
+
+
 @app.command()
 def demo(
-    name: Annotated[str, typer.Argument(help="Which demonstration: airliner, fighter or which-sensor.")] = "airliner",
+    name: Annotated[str, typer.Argument(help=DEMONSTRATIONS)] = "airliner",
     out: Annotated[Path, typer.Option("--out", "-o", help="Folder for figures, corrected log and design.")] = Path(
         "faultrecon-demo"
     ),
@@ -287,15 +290,18 @@ def demo(
 ) -> None:
     """Reconstruct sensor faults in flights that ship with the package; the fighter's gyro fails inside its loop.
 
-    which-sensor: find out which sensor lies in each of the airliner's flights, without being told.
+    which-sensor: find out which sensor lies in each of the airliner's flights, without being told.  activated-sludge: a
+    probe that loses gain in BSM1, by every method that reconstructs one, and how far the model's mismatch limits them.
     """
     with guarded(as_json):
         from faultrecon.advise.airliner import airliner_demo
         from faultrecon.advise.fighter import fighter_demo
+        from faultrecon.advise.fouling_demo import activated_sludge_demo
         from faultrecon.advise.which_sensor import which_sensor_demo
         from faultrecon.finding import InputError, did_you_mean
 
         known = {"airliner": airliner_demo, "fighter": fighter_demo, "which-sensor": which_sensor_demo}
+        known |= {"activated-sludge": activated_sludge_demo}
         if name not in known:
             raise InputError(f"there is no demonstration '{name}'", why=did_you_mean(name, known))
         with bar(f"{name} logs") as tell:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""What in a replayed log looks wrong without being an error: gaps in time, and numbers in other units."""
+"""What in a replayed log looks wrong without being an error: gaps in time, other units, a box that was left."""
 
 from __future__ import annotations
 
@@ -46,7 +46,8 @@ def longest_gap(done: Replay) -> Gap | None:
 
 
 def doubts(done: Replay) -> tuple[str, ...]:
-    """A sentence for every sign that time, a signal or a fault is in other units than the plant's."""
+    """A sentence for every sign that time, a signal or a fault is in other units than the plant's, and one where the
+    estimate left the box of the certificate."""
     plant, log = done.design.plant, done.log
     found = [*unit_doubts(plant, log.t, log.u, log.y)]
     units = dict(zip(plant.signals.y.names, plant.signals.y.units, strict=True))
@@ -54,6 +55,8 @@ def doubts(done: Replay) -> tuple[str, ...]:
         if ratio := _beyond(done.trace.fault[:, j], f.size):
             size = _with(f.size, units.get(next(iter(f.on)), ""))
             found.append(f"{f.name} is found to reach {ratio:.3g} times its declared size of {size}: are units mixed?")
+    if (held := done.coverage()) is not None and held.outside:
+        found.append(str(held))
     return tuple(found)
 
 

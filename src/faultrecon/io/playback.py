@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from faultrecon.finding import InputError
+from faultrecon.io.coverage import Coverage, coverage
 from faultrecon.io.logs import Log, read_log
 from faultrecon.plant.plant import Plant
 from faultrecon.runtime.estimator import Trace
@@ -45,6 +46,10 @@ class Replay:
     def corrected_sensors(self) -> list[str]:
         """The sensors that a declared fault reaches, in order."""
         return corrected_sensors(self.design.plant)
+
+    def coverage(self) -> Coverage | None:
+        """In which samples the certificate holds, for designs over a box; None where it knows no box."""
+        return coverage(self.design, self.trace.state, self.log.u, self.trace.fault)
 
     def truth(self, fault: str) -> np.ndarray | None:
         """The true fault that the log carries as `true_f_<fault>`, if it does."""

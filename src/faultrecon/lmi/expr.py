@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cache
 from typing import Any, Literal
 
 import numpy as np
@@ -175,8 +176,9 @@ def I(n: int) -> Expr:
     return Expr("eye", (n,), (n, n))
 
 
+@cache
 def zeros(rows: int, columns: int) -> Expr:
-    """The zero matrix."""
+    """The zero matrix: one node for each shape, since a vertex has dozens of them."""
     return Expr("zero", (), (rows, columns))
 
 
@@ -205,7 +207,7 @@ def sym(rows: Sequence[Sequence[Any]]) -> Expr:
         if row[i].shape[0] != row[i].shape[1]:
             raise ShapeError(f"block ({i + 1},{i + 1}) is {row[i].shape}", why="diagonal blocks are square")
     size = [rows[i][i].shape[0] for i in range(k)]
-    full: list[list[Expr]] = [[zeros(size[i], size[j]) for j in range(k)] for i in range(k)]
+    full: list[list[Any]] = [[None] * k for _ in range(k)]
     for i in range(k):
         for j in range(k):
             block = rows[i][j]
@@ -215,9 +217,10 @@ def sym(rows: Sequence[Sequence[Any]]) -> Expr:
                 continue
             if block is __:
                 raise ShapeError(f"block ({i + 1},{j + 1}) is __", why="the upper triangle has to be written")
-            if not isinstance(block, Expr) and not (isinstance(block, (int, float)) and block == 0):
-                raise ShapeError(f"block ({i + 1},{j + 1}) is {block!r}", why="a block is an expression or 0")
-            block = as_expr(block, like=full[i][j])
+            if not isinstance(block, Expr):
+                if not (isinstance(block, (int, float)) and block == 0):
+                    raise ShapeError(f"block ({i + 1},{j + 1}) is {block!r}", why="a block is an expression or 0")
+                block = zeros(size[i], size[j])
             if block.shape != (size[i], size[j]):
                 raise ShapeError(
                     f"block ({i + 1},{j + 1}) is {block.shape}, the diagonal asks for ({size[i]}, {size[j]})"

@@ -33,15 +33,6 @@ class Form:
 
 
 @dataclass(frozen=True)
-class Columns:
-    """Where unknowns stand in a vector of `size` scalars, and the values of those that are held."""
-
-    held: Mapping[str, np.ndarray]
-    offsets: Mapping[str, int]
-    size: int
-
-
-@dataclass(frozen=True)
 class Problem:
     """Minimise an affine scalar subject to strict matrix inequalities, some unknowns held at given values.
 
@@ -74,18 +65,9 @@ class Problem:
         return held
 
     @cached_property
-    def _each(self) -> list[dict[str, Expr]]:
-        """The unknowns of each inequality."""
-        return [leaves([i.expr], "unknown") for i in self.inequalities]
-
-    @cached_property
     def _letters(self) -> dict[str, Expr]:
-        found: dict[str, Expr] = {}
-        for here in (*self._each, {} if self.minimise is None else leaves([self.minimise], "unknown")):
-            for name, leaf in here.items():
-                if found.setdefault(name, leaf) is not leaf:
-                    raise ShapeError(f"the letter {name} stands for two things in one statement")
-        return found
+        stated = [i.expr for i in self.inequalities]
+        return leaves(stated if self.minimise is None else [*stated, self.minimise], "unknown")
 
     @cached_property
     def offsets(self) -> dict[str, int]:
@@ -105,16 +87,6 @@ class Problem:
     def forms(self) -> list[Form]:
         """The positive side of each inequality as an affine form; slopes are arrays when `dense`, else sparse."""
         return [evaluate(i.positive, self._algebra, self._memo) for i in self.inequalities]
-
-    def local(self, k: int) -> tuple[Form, np.ndarray]:
-        """The positive side of inequality k as plain arrays in the unknowns that occur in it, and their numbers."""
-        here = self._each[k]
-        free = [name for name in here if name not in self.held]
-        spans = [self.offsets[name] + np.arange(freedom(here[name])) for name in free]
-        starts = np.cumsum([0, *(len(span) for span in spans)]).tolist()
-        own = Columns(self.held, dict(zip(free, starts, strict=False)), starts[-1])
-        form = evaluate(self.inequalities[k].positive, DenseAffineAlgebra(own), {})
-        return form, np.concatenate(spans) if spans else np.zeros(0, dtype=int)
 
     @cached_property
     def objective(self) -> Form | None:
@@ -171,10 +143,18 @@ def _index(leaf: Expr) -> np.ndarray:
     return (high * (high + 1) // 2 + low).ravel()
 
 
+def places(leaf: Expr) -> np.ndarray:
+    """The entries (r*c, k) of an unknown as multiples of its k scalars, row by row."""
+    index = _index(leaf)
+    slope = np.zeros((index.size, freedom(leaf)))
+    slope[np.arange(index.size), index] = 1.0
+    return slope
+
+
 class AffineAlgebra:
     """Reads an expression as affine forms in the unknowns of a problem."""
 
-    def __init__(self, problem: Problem | Columns) -> None:
+    def __init__(self, problem: Problem) -> None:
         self.problem = problem
 
     def leaf(self, node: Expr) -> Form:

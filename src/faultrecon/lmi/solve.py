@@ -11,12 +11,12 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from functools import cache
 from typing import Any, Literal
 
 import numpy as np
 
 from faultrecon.lmi.problem import Form, Problem, freedom
+from faultrecon.lmi.together import rows_of, upper
 
 
 @dataclass(frozen=True)
@@ -65,7 +65,8 @@ def conic_data(problem: Problem, margin: float = 0.0, near: np.ndarray | None = 
 
     units = np.ones(problem.size) if near is None else _units(problem, near)
     if len(problem.inequalities) >= MANY:
-        return _many(problem, units, margin, near)
+        M, b, sizes = rows_of(problem, margin, near, units)
+        return ConicData(_costs(problem, units, near), M, b, sizes, units)
     none = np.zeros if problem.dense else sparse.csr_array
     blocks = [_svec(form, none((form.constant.size, problem.size)), margin, near) for form in problem.forms]
     q = _costs(problem, units, near)
@@ -76,29 +77,7 @@ def conic_data(problem: Problem, margin: float = 0.0, near: np.ndarray | None = 
 
 
 MANY = 12
-"""Inequalities from which each is read in the unknowns that occur in it: vertices share few of them."""
-
-
-def _many(problem: Problem, units: np.ndarray, margin: float, near: np.ndarray | None) -> ConicData:
-    """The same, one inequality at a time as plain arrays in its own unknowns, put into columns of the whole."""
-    from scipy import sparse
-
-    data, where, columns, b, sizes, at = [], [], [], [], [], 0
-    for k in range(len(problem.inequalities)):
-        form, column = problem.local(k)
-        none = np.zeros((form.constant.size, len(column)))
-        rows, rhs, n = _svec(form, none, margin, None if near is None else near[column])
-        i, j = np.nonzero(rows)
-        data.append(rows[i, j] * units[column[j]])
-        where.append(i + at)
-        columns.append(column[j])
-        b.append(rhs)
-        sizes.append(n)
-        at += len(rhs)
-    M = sparse.csc_array(
-        (np.concatenate(data), (np.concatenate(where), np.concatenate(columns))), shape=(at, problem.size)
-    )
-    return ConicData(_costs(problem, units, near), M, np.concatenate(b), tuple(sizes), units)
+"""Inequalities from which blocks are read once for all: vertices share most of them, and few unknowns."""
 
 
 def _costs(problem: Problem, units: np.ndarray, near: np.ndarray | None) -> np.ndarray:
@@ -131,7 +110,7 @@ def _svec(form: Form, none: Any, margin: float, near: np.ndarray | None) -> tupl
     else:
         weight = np.abs(form.constant).diagonal() + abs(slope[diagonal]) @ np.abs(near)
     d = np.exp2(-np.round(0.5 * np.log2(np.where(weight > 0, weight, 1.0))))
-    i, j, root = _upper(n)
+    i, j, root = upper(n)
     factor = root * d[i] * d[j]
     constant = 0.5 * (form.constant + form.constant.T) - margin * np.diag(1.0 / d**2)
     half = -0.5 * (slope[i * n + j] + slope[j * n + i])
@@ -307,19 +286,12 @@ def _projected(Z: np.ndarray) -> np.ndarray:
     """The nearest positive semidefinite matrix, as an svec."""
     values, vectors = np.linalg.eigh(Z)
     nearest = (vectors * np.maximum(values, 0.0)) @ vectors.T
-    i, j, root = _upper(len(Z))
+    i, j, root = upper(len(Z))
     return nearest[i, j] * root
 
 
 def _smat(z: np.ndarray, n: int) -> np.ndarray:
     out = np.zeros((n, n))
-    i, j, root = _upper(n)
+    i, j, root = upper(n)
     out[i, j] = out[j, i] = z / root
     return out
-
-
-@cache
-def _upper(n: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Rows and columns of the upper triangle by columns, and √2 off the diagonal: shared, not to be written to."""
-    j, i = np.tril_indices(n)
-    return i, j, np.where(i == j, 1.0, np.sqrt(2.0))

@@ -7,8 +7,8 @@ What a lost gain takes away from a sensor is a signal like any other, and with i
 coefficients: C e_x + e_a.  So each vertex of A(z) may have a gain of its own, nothing is multiplied with anything, and
 the box may be as wide as the plant is stable.  The price: a moves whenever h does, for a constant gain too, and is
 taken for a random walk all the same.  The observer's states are x̂ and f̂ = â/ĥ themselves, so f̂ moves at a rate
-that grows as ĥ fades; below the smallest reading in the box it is divided by that reading instead, since no step is
-short enough for a division by nearly nothing.
+that grows as ĥ fades, and no step is short enough for a division by nearly nothing.  So below the smallest reading in
+the box that reading stands for ĥ there, and where ĥ has faded f̂ holds.
 """
 
 from __future__ import annotations
@@ -89,8 +89,7 @@ class TsAdditive(GuaranteedVariance):
             rise = ca.DM(plant.C) @ (model(plant, x, u, ca.SX(0)) + push[:n])
             moves = []
             for j, i in enumerate(rows):
-                # sign(h) max(|h|, least): within the box it is h.
-                by = ca.if_else(ca.fabs(h[i]) >= float(least[i]), h[i], ca.sign(h[i]) * float(least[i]))
+                by = ca.if_else(h[i] < 0, -1.0, 1.0) * ca.fmax(ca.fabs(h[i]), float(least[i]))
                 slope = (push[n + j] / float(plant.F_f[i, j]) - f[j] * rise[i]) / by
                 moves.append(ca.if_else(ca.fabs(h[i]) >= float(gone[i]), slope, 0.0))
             return ca.vertcat(push[:n], *moves)

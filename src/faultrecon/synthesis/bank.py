@@ -84,8 +84,8 @@ def bank(
 
     sensors: names; all of them by default.  actuators: names of inputs.  together: sets of names that may act at once,
     of sensors and of declared faults.  A fault that the plant declares on a sensor keeps its name, size and rate; any
-    other takes the sensor's name and range.  method: for sensors, "lipschitz-hinf" by default; actuators take the first of
-    "adaptive-uio" and "euler-pi" that has a design.  Hypotheses without a design are listed with the reason.
+    other takes the sensor's name and range.  method: for sensors, "lipschitz-hinf" by default; actuators take the first
+    of "adaptive-uio" and "euler-pi" that has a design.  Hypotheses without a design are listed with the reason.
     Raises InputError on unknown names, Impossible when no hypothesis has a design.
     """
     say = progress or (lambda name: None)
