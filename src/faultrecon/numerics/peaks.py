@@ -22,8 +22,10 @@ BLOCK = 256  # samples of the impulse response that are computed at once
 OVER = 1e-7  # of a sum: a block that adds less ends it
 NOTHING = 1e-10  # of the largest sum of an output: rounding
 STEADY = 1e-3  # of the distance to 1: how little the ratio of two blocks may change for the rest to be geometric
+GROWING = 2.0  # from block to block: a sum that is not about to end
 BEYOND = 300.0  # as a logarithm: sizes that no sequence worth having begins with
-FADED = 1e-4  # of the largest value: a response below it has faded
+FADED = 1e-4  # of the unit, or of the largest value if that is less: a response below it has faded
+AT_ONCE = 1e-9  # per sample: a rate below it is that of nothing
 LONGEST_FADE = 2**17  # samples of a fading response that are looked at
 LONGEST = 2**20  # samples: there it ends in any case
 
@@ -67,16 +69,14 @@ def gains(M: Array, B: Array, C: Array, D: Array, smoothing: Sequence[float] = (
         done += len(block)
         if n == 0 and not any(np.any(s) for s in states):
             return Gains(peak, np.sqrt(energy))
-        ratio = np.divide(added, before, out=np.zeros_like(added), where=before > 0)
-        steady = (ratio < 1.0) & (
-            np.abs(ratio - last) <= STEADY * (1.0 - ratio)
-        )  # so the rest is geometric: the slowest mode is alone
+        ratio = np.divide(added, before, out=np.where(added > 0, GROWING, 0.0), where=GROWING * before > added)
+        # where two ratios agree the slowest mode is alone, and the rest is geometric
+        steady = (ratio < 1.0) & (np.abs(ratio - last) <= STEADY * (1.0 - ratio))
         over = (added[0] <= OVER * peak) | (peak <= NOTHING * peak.max(axis=2, keepdims=True))
-        agreed = agreed + 1 if np.all(steady | over) else 0
+        agreed = agreed + 1 if done > 1 and np.all(steady | over) else 0
         if agreed == 2 or done >= LONGEST:
-            ratio = np.where(
-                steady | over, np.where(steady, ratio, 0.0), min(slowest**BLOCK, 1.0 - np.finfo(float).eps)
-            )
+            rest = min(slowest**BLOCK, 1.0 - np.finfo(float).eps)
+            ratio = np.where(steady, ratio, np.where(over, 0.0, rest))
             total = np.stack([peak, energy]) + added * ratio / (1.0 - ratio)
             return Gains(total[0], np.sqrt(total[1]))
         before, last = added, ratio
@@ -98,8 +98,8 @@ class Fading:
 def fading(M: Array, C: Array, box: Array, units: Array, rate: Array | None = None) -> Fading:
     """How fast |C Mᵏ box| fades, each output in its unit: C (r, n), box (n, k), columns of which any |share| ≤ 1.
 
-    Of all such pairs above an output one with nearly the smallest sum is taken.  rate (r,): that of the slow part, which
-    then does it alone.
+    Of all such pairs above an output, until it has faded, one with nearly the smallest sum is taken.  rate (r,): of
+    the slow part, which then does it alone.
     """
     r = C.shape[0]
     if not M.size or not box.size:
@@ -111,7 +111,8 @@ def fading(M: Array, C: Array, box: Array, units: Array, rate: Array | None = No
     if rate is not None:
         return Fading(np.vstack([np.zeros(r), _above(ends, table, rate)]), np.vstack([np.zeros(r), rate]))
     best, first, rates = np.full(r, np.inf), np.full((2, r), np.inf), np.full((2, r), slowest)
-    for slow in np.concatenate([1.0 - (1.0 - slowest) * 0.5 ** np.arange(1, 3), slowest**1.5 ** np.arange(16)]):
+    tries = np.concatenate([1.0 - (1.0 - slowest) * 0.5 ** np.arange(1, 3), slowest**1.5 ** np.arange(16)])
+    for slow in tries[tries > AT_ONCE]:
         tails = np.maximum.accumulate((np.log(table) - ends[:, None] * np.log(slow))[::-1], axis=0)[::-1]
         for cut in range(0, len(ends), 4):
             size = np.exp(np.minimum(tails[cut], BEYOND))
@@ -135,7 +136,7 @@ def _envelope(M: Array, C: Array, box: Array, units: Array) -> tuple[Array, Arra
         block = np.abs((stack @ X).reshape(BLOCK, r, -1)).sum(axis=2) / units
         blocks.append(block)
         top = max(top, float(block.max(initial=0.0)))
-        if float(block.max(initial=0.0)) <= FADED * top:
+        if float(block.max(initial=0.0)) <= FADED * min(top, 1.0):
             break
         X = power @ X
     table = np.concatenate(blocks)

@@ -17,6 +17,8 @@ from faultrecon.runtime.steps import ObserverStep, disturbed, step_with
 
 Array = NDArray[Any]
 
+NEUTRAL = 1e-9  # per sample: growth that is none, as of the constant faults that an observer remembers
+
 
 @dataclass(frozen=True, eq=False)
 class Sizes:
@@ -58,6 +60,21 @@ def absences(plant: Plant, estimator: Estimator, sizes: Sizes) -> list[Absence]:
     unknown = _unknown(pair, sizes)
     whole = _step(estimator, None, None)
     return [_absence(pair, unknown, whole, i) for i in range(plant.p)]
+
+
+def diverging(estimator: Estimator) -> Array:
+    """1 for each channel without which the error grows, else 0; the last is for all of them."""
+    p, found = len(estimator.observer.y0), []
+    for lacking in (*(_mask(p, i) for i in range(p)), np.ones(p, dtype=bool)):
+        if estimator.scheme == "sampled":
+            observer = estimator.observer
+            A = observer.A + observer.B @ estimator._general.stepper(_mask(p, None), lacking).after.from_z
+            largest = np.log(max(float(np.abs(np.linalg.eigvals(A)).max(initial=0.0)), np.finfo(float).tiny))
+        else:
+            A = estimator._general.stepper(lacking, lacking).A * estimator.sample_time
+            largest = float(np.linalg.eigvals(A).real.max(initial=-np.inf))
+        found.append(float(largest > NEUTRAL))
+    return np.array(found)
 
 
 def _absence(o: Pair, unknown: _Unknown, whole: ObserverStep, i: int) -> Absence:

@@ -13,7 +13,7 @@ from faultrecon.plant.plant import Plant
 from faultrecon.runtime.errors import error_system
 from faultrecon.runtime.watch import Watch
 
-NOTHING = 1e-9  # of a residual's scale: what rounding makes of a fault that does not show
+NOTHING = 1e-9  # of what a fault does to its own sensor: what rounding makes of one that does not show
 
 
 def ruled_out(watch: Watch, plant: Plant, fault: FaultChannel) -> float:
@@ -34,6 +34,6 @@ def ruled_out(watch: Watch, plant: Plant, fault: FaultChannel) -> float:
     q = watch.bounds.faults
     gain = np.abs(settled[q : q + watch.plant.p])
     limits = watch.limits[:, q:]
-    visible = gain > NOTHING * max(float(gain.max(initial=0.0)), np.finfo(float).tiny)
+    visible = gain > NOTHING * float(np.abs(F).max())
     sizes = np.where(visible, 2.0 * limits / np.where(visible, gain, 1.0), math.inf)
     return float(sizes.min(initial=math.inf))

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from faultrecon.numerics.peaks import Gains, fading, gains
 from faultrecon.plant.plant import Plant
-from faultrecon.runtime.absent import Absence, Sizes, absences
+from faultrecon.runtime.absent import Absence, Sizes, absences, diverging
 from faultrecon.runtime.beginning import ANYWHERE, Beginning
 from faultrecon.runtime.errors import ErrorSystem
 from faultrecon.runtime.estimator import Estimator
@@ -54,9 +54,10 @@ class Bounds:
     certain, random (scales, q + p): what declared bounds allow the errors f̂ - f and y - ŷ behind each low-pass filter,
     and the standard deviation that noise adds to it.
     What is left of an unknown start is counted in units of the steady bounds, by error: `start` at the first sample,
-    `blind` where that one lacks something, `rate` per sample; a quick and a slow part of each.  An incomplete sample adds
-    to the slow one: its row of `lost`, times 1 and what is left in ζ itself, which is the last column of all.
+    `blind` where that one lacks something, `rate` per sample; a quick and a slow part of each.  An incomplete sample
+    adds to the slow one: its row of `lost`, times 1 and what is left in ζ itself, which is the last column of all.
     start, blind, rate (2, q + p + 1), lost (p, q + p + 1).
+    diverges (p + 1,): 1 for each sensor without which the error grows, the last without several.
     """
 
     certain: Array
@@ -65,6 +66,7 @@ class Bounds:
     blind: Array
     rate: Array
     lost: Array
+    diverges: Array
     beginning: Beginning
     allowance: Allowance
     assumptions: tuple[str, ...]
@@ -107,7 +109,7 @@ def bounds(
     certain = certain + _nonlinearity(system, found.peak, certain[0] + allowance.noise_peak * spread[0])
     steady = certain[0] + allowance.noise_peak * spread[0]
     first = Beginning.of(plant)
-    sizes = sizes + allowance.noise_peak * noise
+    sizes = np.where(np.isfinite(sizes), sizes, 0.0) + allowance.noise_peak * noise
     fresh = np.hstack([system.fresh * sizes, system.waiting * sizes])
     own = system.start[: len(estimator.observer.A)]
     box = _with(first.box(estimator.observer, own, allowance.crest, allowance.noise_peak), fresh)
@@ -125,6 +127,7 @@ def bounds(
         fades.outputs(fades.begin(blind), rows),
         fades.outputs(fades.rate, rows),
         np.array([fades.outputs(fades.after(one), rows)[1] for one in lost]),
+        diverging(estimator),
         first,
         allowance,
         said,
@@ -292,8 +295,6 @@ def _assumptions(
         said.append("the Lipschitz constant holds wherever state and estimate go")
     if undeclared:
         said.append(f"{', '.join(undeclared)} begin within {ANYWHERE:g} of the operating point (no range is declared)")
-    said.append(
-        "after missing rows or inputs, and silence of sensors, the error is no larger than that of an observer at rest"
-    )
+    said.append("after rows or inputs are missing the error is no larger than that of an observer at rest")
     said.append("the plant is the model")
     return tuple(said)

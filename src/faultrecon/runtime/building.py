@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -14,7 +15,7 @@ from faultrecon.runtime.bounds import Allowance, bounds
 from faultrecon.runtime.correction import Correction, Policy
 from faultrecon.runtime.decision import Rules
 from faultrecon.runtime.errors import error_system
-from faultrecon.runtime.isolation import isolation
+from faultrecon.runtime.isolation import isolation, memory
 from faultrecon.runtime.monitor import Hypothesis, Monitor
 from faultrecon.runtime.stepping import Hold
 from faultrecon.runtime.watch import Watch, filters
@@ -72,6 +73,8 @@ def monitor_of(
             f"no hypothesis about {bank.plant.name} can be tested", why=str(first), remedies=first.remedies
         )
     stale = 10.0 * T if stale is None else stale
+    kept = memory([h.watch for h in found], systems)
+    found = [replace(h, watch=replace(h.watch, memory=kept)) for h in found]
     excuses = isolation([h.watch for h in found], systems, [h.watch.plant for h in found])
     correction = Correction(policy, hold_longest)
     return Monitor(bank.plant, tuple(found), excuses, rules, correction, stale, bank.digest, refused)

@@ -29,6 +29,7 @@ from faultrecon.runtime.watch import Watch
 Array = NDArray[Any]
 
 SIGNATURE = "table, table, table, table, table, table, into"
+LONGER = 4.0  # times the memory of the slowest test; it costs a third of what isolates in that test, at most
 NOTHING = 1e-9  # of a sensor's own reading: what rounding makes of an effect that is none
 
 
@@ -57,22 +58,32 @@ class Isolation:
 def isolation(watches: Sequence[Watch], systems: Sequence[ErrorSystem], hypotheses: Sequence[Plant]) -> Isolation:
     """The table of excuses, by the peak gains of every fault on every test.
 
-    watches with their error systems; hypotheses: plants whose faults are those that act.
+    watches with their error systems, all of one memory ρ; hypotheses: plants whose faults are those that act.  What a
+    test remembers of a fault k samples ago counts ρ^-k times, because the size of that fault counts ρ^k times.
     """
+    rho = watches[0].memory or 1.0
     faults = [fault for plant in hypotheses for fault in plant.faults]
     parts = []
     for watch, system in zip(watches, systems, strict=True):
         columns = [_effect(watch, system, fault) for fault in faults]
         into, out = (np.column_stack(part) for part in zip(*columns, strict=True))
         E = system.faults + system.sensors
-        found = gains(system.M, into, system.C[:E], out[:E], watch.poles)
-        share = found.peak / watch.limits[:, :, None]
-        typical = found.peak.max(initial=0.0)
-        share[found.peak <= NOTHING * typical] = 0.0
+        poles = np.array(watch.poles)
+        peak = gains(system.M / rho, into / rho, system.C[:E], out[:E], tuple(poles / rho)).peak
+        peak *= ((1.0 - poles) / (1.0 - poles / rho))[:, None, None]
+        share = peak / watch.limits[:, :, None]
+        share[peak <= NOTHING * peak.max(initial=0.0)] = 0.0
         parts.append(share.reshape(-1, len(faults)).T)
     counts = [len(plant.faults) for plant in hypotheses]
     begins = np.cumsum([0, *(watch.tests for watch in watches)])
     return Isolation(np.hstack(parts), np.cumsum([0, *counts])[None].astype(float), begins[None].astype(float))
+
+
+def memory(watches: Sequence[Watch], systems: Sequence[ErrorSystem]) -> float:
+    """How long past faults must be remembered, per sample: somewhat longer than any test remembers them."""
+    slowest = [float(np.abs(np.linalg.eigvals(system.M)).max(initial=0.0)) for system in systems]
+    longest = max(*slowest, *(max(watch.poles) for watch in watches), 0.0)
+    return 1.0 - (1.0 - longest) / LONGER if longest < 1.0 else 1.0
 
 
 def _effect(watch: Watch, system: ErrorSystem, fault: FaultChannel) -> tuple[Array, Array]:
