@@ -135,7 +135,7 @@ def test_samples_that_do_not_come_later_are_refused_and_harm_nothing():
 def test_a_time_absurdly_far_ahead_is_refused_and_harms_nothing(t):
     p, (times, u, y) = processor(), log(7, 10)
     state, _ = p.take(p.start(), times[:5], u[:5], y[:5])
-    with pytest.raises(InputError, match="sample times late"):
+    with pytest.raises(InputError, match="after the one before it"):
         p.take(state, np.array([t]), u[5:6], y[5:6])
     after = p.take(state, times[5:], u[5:], y[5:])[1]
     assert after["f_1"].tobytes() == whole(p, times, u, y)["f_1"][5:].tobytes()

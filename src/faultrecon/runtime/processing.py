@@ -110,7 +110,8 @@ class Reconstruction:
     def take(self, state: Standing, t: Array, u: Array, y: Array) -> tuple[Standing, Columns]:
         t, u, y = checked_log(t, u, y, *self._sizes)
         before = state.t[-1] if len(state.t) else state.last.t
-        steps = np.diff(t, prepend=before)  # NaN before the first sample of all
+        with np.errstate(over="ignore"):  # two finite times may be infinitely far apart
+            steps = np.diff(t, prepend=before)  # NaN before the first sample of all
         if len(t) and steps[0] <= 0:
             raise InputError(
                 f"the sample at t = {t[0]:g} s follows the one at {before:g} s",
@@ -120,8 +121,8 @@ class Reconstruction:
         if (steps > FARTHEST * self.estimator.sample_time).any():
             k = int(np.argmax(steps > FARTHEST * self.estimator.sample_time))
             raise InputError(
-                f"the sample at t = {t[k]:g} s comes {steps[k] / self.estimator.sample_time:.3g} sample times late",
-                why=f"after {FARTHEST:.0g} nothing of what was known is worth carrying on",
+                f"the sample at t = {t[k]:g} s comes {steps[k]:.3g} s after the one before it",
+                why=f"after {FARTHEST:.0g} sample times nothing of what was known is worth carrying on",
                 remedies=("begin anew after the gap", "check the clock"),
             )
         return self._advanced(state, t, u, y, final=False)
