@@ -11,7 +11,7 @@ import faultrecon
 from faultrecon.finding import Impossible, InputError
 from faultrecon.plant.fault import Disturbance, FaultChannel
 from faultrecon.plant.signals import Noise
-from faultrecon.runtime.building import separation
+from faultrecon.runtime.apart import separation
 from faultrecon.synthesis.bank import bank
 
 

@@ -50,19 +50,26 @@ def fault_findings(plant: Plant) -> list[Finding]:
     ]
 
 
+def sampled_findings(plant: Plant, see: str) -> list[Finding]:
+    """A finding where the plant is sampled, for methods stated for continuous time."""
+    if plant.sample_time is None:
+        return []
+    return [
+        Finding(
+            f"the plant is sampled every {plant.sample_time:g} s",
+            why="the method is stated for continuous time",
+            evidence={"sample_time": plant.sample_time},
+            remedies=("write the plant in continuous time, without sample_time",),
+            see=see,
+        )
+    ]
+
+
 def additive_sensor_findings(plant: Plant) -> list[Finding]:
     """What takes a plant out of the scope of observers for additive sensor faults in continuous time."""
     see = "Khosrowjerdi 2011, (2.1)"
     if plant.sample_time is not None:
-        return [
-            Finding(
-                f"the plant is sampled every {plant.sample_time:g} s",
-                why="the method is stated for continuous time",
-                evidence={"sample_time": plant.sample_time},
-                remedies=("write the plant in continuous time, without sample_time",),
-                see=see,
-            )
-        ]
+        return sampled_findings(plant, see)
     for f in plant.faults:
         if f.site == "actuator" or f.effect == "multiplicative":
             return [

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from faultrecon.diagnosis.existence import fault_findings
+from faultrecon.diagnosis.existence import fault_findings, sampled_findings
 from faultrecon.finding import Finding, InputError
 from faultrecon.graph.ranges import ranges
 from faultrecon.methods.scaled_sensors import Ends, interval, readings
@@ -24,15 +24,7 @@ def scaling_findings(plant: Plant, *, form: bool = True) -> list[Finding]:
     form: whether a polytopic form is needed at all.
     """
     if plant.sample_time is not None:
-        return [
-            Finding(
-                f"the plant is sampled every {plant.sample_time:g} s",
-                why="the method is stated for continuous time",
-                evidence={"sample_time": plant.sample_time},
-                remedies=("write the plant in continuous time, without sample_time",),
-                see=SEE,
-            )
-        ]
+        return sampled_findings(plant, SEE)
     for f in plant.faults:
         if f.site == "actuator" or f.effect == "additive":
             return [

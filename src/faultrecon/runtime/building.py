@@ -6,7 +6,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
@@ -102,19 +101,3 @@ def _sample_time(bank: Bank, given: float | None) -> float:
     if bank.plant.noise is None:
         raise InputError("no sample time is known", remedies=("pass sample_time=... in seconds",))
     return bank.plant.noise.hold
-
-
-def separation(monitor: Monitor) -> dict[str, Any]:
-    """The smallest constant fault of each kind that rules each other hypothesis out, for certain, in the end.
-
-    By fault, then by hypothesis; inf where none does.  In units of the fault.
-    """
-    from faultrecon.runtime.apart import ruled_out
-
-    table: dict[str, Any] = {}
-    for fault, i in monitor.singles.items():
-        channel = monitor.hypotheses[i].watch.plant.faults[0]
-        table[fault] = {
-            h.name: ruled_out(h.watch, monitor.plant, channel) for h in monitor.hypotheses if fault not in h.faults
-        }
-    return table

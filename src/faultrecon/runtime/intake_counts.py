@@ -69,11 +69,6 @@ class Counts:
         return Counts(**total)
 
     @property
-    def left_out(self) -> int:
-        """Rows that went in and do not come out: too late, or without a time."""
-        return self.late + self.bad_time
-
-    @property
     def accounted(self) -> int:
         """Rows whose fate is known; `received` less this is the number of rows that wait."""
         return self.passed + self.merged + self.duplicates + self.late + self.bad_time
