@@ -174,11 +174,11 @@ def watch_of(plant, estimator, allowance, spans=(10.0, 100.0)):
 
 
 def looked(watch, flight):
-    """Estimates, what the watch says about them, and the shares of all its tests (N, scales, q + p)."""
+    """Estimates, what the watch says about them, and the shares of all its tests where one is above 1 (N, scales, q + p)."""
     guess = watch.bounds.beginning.guess(flight.u[0], flight.y[0])
     trace = watch.estimator.replay(flight.t, flight.u, flight.y, x=guess)
     gap = np.diff(flight.t, prepend=flight.t[0] - watch.estimator.sample_time) > 1.5 * watch.estimator.sample_time
-    shares = np.empty((len(flight.t), watch.tests))
+    shares = np.zeros((len(flight.t), watch.tests))
     live = watch.init(blind=guess is None)
     _, seen = watch.look(live, flight.u, flight.y, gap.astype(float), trace, shares)
     return trace, seen, shares.reshape(len(flight.t), len(watch.poles), -1)

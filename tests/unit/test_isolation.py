@@ -13,7 +13,7 @@ from faultrecon.plant.signals import Channels, Noise, Signals
 from faultrecon.runtime.errors import error_system
 from faultrecon.runtime.isolation import _ask, _compiled, isolation
 from faultrecon.runtime.watch import _compiled as compiled_watch
-from faultrecon.runtime.watch import _watch
+from faultrecon.runtime.watchloop import pass_over
 
 
 def twins():
@@ -97,8 +97,8 @@ def test_compiled_and_interpreted_agree_to_the_last_bit(cart, cart_monitor, driv
     gap = (np.arange(900) == 700).astype(float)
     watch = cart_monitor.hypotheses[0].watch
     trace = watch.estimator.replay(t, u, y)
-    shares = [np.empty((900, watch.tests)) for _ in range(2)]
-    assert compiled_watch() is not _watch
+    shares = [np.zeros((900, watch.tests)) for _ in range(2)]
+    assert compiled_watch() is not pass_over
     ends = [
         replace(watch, compiled=c).look(watch.init(), u, y, gap, trace, s)
         for c, s in zip((True, False), shares, strict=True)

@@ -197,6 +197,7 @@ def _vocabulary(keep: bool) -> tuple[dict[str, Any], dict[str, Callable[..., Any
     # Any strides will do, and what is only read may be read-only.
     names |= {"row": Array(float64, 1, "C"), "vector": Array(float64, 1, "A", readonly=True)}
     names |= {"table": Array(float64, 2, "A", readonly=True), "into": Array(float64, 2, "A")}
+    names |= {"block": Array(float64, 2, "C", readonly=True)}  # where it is worth a copy that it lies in one piece
     return names, kernels
 
 
