@@ -19,7 +19,7 @@ from faultrecon.runtime.bounds import Allowance, bounds
 from faultrecon.runtime.errors import error_system
 from faultrecon.runtime.estimator import Estimator
 from faultrecon.runtime.filling import Prediction
-from faultrecon.runtime.watch import Watch, filters
+from faultrecon.runtime.watch import Batch, Findings, Watch, filters
 
 ROUNDING = 1e-9  # relative: sums of some thousand terms in double precision
 SD = 0.01
@@ -178,9 +178,9 @@ def looked(watch, flight):
     guess = watch.bounds.beginning.guess(flight.u[0], flight.y[0])
     trace = watch.estimator.replay(flight.t, flight.u, flight.y, x=guess)
     gap = np.diff(flight.t, prepend=flight.t[0] - watch.estimator.sample_time) > 1.5 * watch.estimator.sample_time
-    shares = np.zeros((len(flight.t), watch.tests))
-    live = watch.init(blind=guess is None)
-    _, seen = watch.look(live, flight.u, flight.y, gap.astype(float), trace, shares)
+    seen, _ = Findings.room(len(flight.t), [watch])
+    watch.look(watch.init(blind=guess is None), Batch.of(flight.u, flight.y, gap), trace, seen)
+    shares = np.where(seen.peak > 1.0, seen.shares, 0.0)
     return trace, seen, shares.reshape(len(flight.t), len(watch.poles), -1)
 
 

@@ -8,36 +8,33 @@ was it said to be, and what was said where nothing was wrong.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
-
-import numpy as np
-from numpy.typing import NDArray
 
 from faultrecon.advise.demonstration import made_folder, shipped_log
 from faultrecon.io.bankfile import write_bank
 from faultrecon.io.library import read_library
 from faultrecon.io.logs import write_log
 from faultrecon.io.watched import Watched, watch
+from faultrecon.runtime.told import Episode, alarm_rate
 from faultrecon.synthesis.bank import Bank, bank
 
 FLIGHTS = tuple(
     f"{fault}_{air}" for fault in ("healthy", "pitch_rate", "pitch_angle", "roll_rate") for air in ("calm", "gust")
 )
 SHOWN = "pitch_angle_gust"
-ACTS = 0.05  # of its largest size: from where on a true fault counts as there
 
 
 @dataclass(frozen=True, slots=True)
-class Told:
+class Flight:
     """One flight: the true fault ("" for none), what was named in the end, and when.
 
-    noticed, named: s from the beginning of the fault to the first word about it and to its name; NaN where that never
-    happened.  left: the explanations that were left at the end, the likeliest first.  size_error: RMS of f̂ - f from the
-    naming on, relative to the largest true size.  inside: part of the samples of the fault within their bounds.
-    false_alarms: faults named that were not there.  hours: of flight without a fault.
+    left: the explanations that were left at the end, the likeliest first.  noticed, named: s from the first beginning
+    of the fault to the first word about it and to its name; NaN where that never came.  size_error: as in `Episode`, of
+    the largest one.  inside: part of all samples in which the true fault was within its bound.
+    false_alarms: faults named that were not there, of_nothing: while none was.  hours: of flight without a fault.
     """
 
     flight: str
@@ -49,6 +46,7 @@ class Told:
     size_error: float
     inside: float
     false_alarms: int
+    of_nothing: int
     hours: float
 
 
@@ -57,14 +55,19 @@ class WhichSensor:
     """The table, with the bank that made it."""
 
     bank: Bank
-    rows: tuple[Told, ...]
+    rows: tuple[Flight, ...]
     written: tuple[Path, ...] = ()
 
     @property
+    def healthy(self) -> tuple[int, float]:
+        """Faults named while there was none, and hours of flight without a fault."""
+        return sum(row.of_nothing for row in self.rows), sum(row.hours for row in self.rows)
+
+    @property
     def false_alarms_per_hour(self) -> float:
-        """Faults named that were not there, per hour of flight without a fault."""
-        hours = sum(row.hours for row in self.rows)
-        return sum(row.false_alarms for row in self.rows) / hours if hours > 0 else math.nan
+        """Faults named while there was none, per hour of flight without a fault."""
+        alarms, hours = self.healthy
+        return alarms / hours if hours > 0 else math.nan
 
     def as_dict(self) -> dict[str, Any]:
         """Plain values for `--json`."""
@@ -96,8 +99,7 @@ class WhichSensor:
             )
         widths = [max(len(row[i]) for row in table) for i in range(len(head))]
         lines += ["  ".join(cell.ljust(w) for cell, w in zip(row, widths, strict=True)).rstrip() for row in table]
-        hours = sum(r.hours for r in self.rows)
-        lines += ["", f"{hours * 60:.1f} minutes without a fault, {self.false_alarms_per_hour:g} false alarms per hour"]
+        lines += ["", alarm_rate(*self.healthy)]
         lines += [f"wrote {path}" for path in self.written]
         return "\n".join(lines)
 
@@ -115,9 +117,7 @@ def which_sensor(every: bool = False, progress: Callable[[float], None] | None =
     for k, flight in enumerate(FLIGHTS):
         tell((1 + k) / (1 + len(FLIGHTS)))
         log = shipped_log("airliner", flight, plant)
-        rows.append(
-            told(watch(made, log, **options), flight, {f.name: log.extra[f"true_f_{f.name}"] for f in plant.faults})
-        )
+        rows.append(flown(watch(made, log, **options), flight))
     return WhichSensor(made, tuple(rows))
 
 
@@ -132,42 +132,32 @@ def which_sensor_demo(out: Path, progress: Callable[[float], None] | None = None
     return replace(found, written=written)
 
 
-def told(done: Watched, flight: str, truth: dict[str, NDArray[Any]]) -> Told:
-    """What was said about a log with at most one true fault, against the truth."""
-    t, said, mode = done.table["t"], done.table["fault"], done.table["mode"]
-    fault = max(truth, key=lambda name: float(np.abs(truth[name]).max()))
-    true = truth[fault]
-    if not true.any():
-        return _nothing_wrong(done, flight, said)
-    acts = np.abs(true) >= ACTS * np.abs(true).max()
-    begin = int(np.argmax(acts))
-    aware = np.flatnonzero((t >= t[begin]) & np.isin(mode, ("suspect", "fault", "out_of_envelope")))
-    right = np.flatnonzero((t >= t[begin]) & (said == fault))
-    wrong = [e for e in done.events if e.mode == "fault" and e.fault != fault]
-    last = done.events[-1]
-    error, bound = done.table[f"f_{fault}"] - true, done.table[f"f_{fault}_bound"]
-    size = math.nan
-    if right.size:
-        size = float(np.sqrt(np.mean(np.square(error[right]))) / np.abs(true).max())
-    return Told(
+def flown(done: Watched, flight: str) -> Flight:
+    """What was said about a log that holds its truth: at most one fault, that of a gain in an episode a manoeuvre."""
+    found = done.scores()
+    assert found is not None, "the shipped logs hold the truth"
+    said, last, nan = str(done.table["fault"][-1]), done.events[-1], math.nan
+    rest = found.false_alarms, found.of_nothing, found.healthy_hours
+    if not found.episodes:
+        return Flight(flight, "", said, "", nan, nan, nan, nan, *rest)
+    first, largest = found.episodes[0], max(found.episodes, key=lambda one: one.size)
+    return Flight(
         flight,
-        fault,
-        str(said[right[-1]]) if right.size and said[-1] == fault else "",
+        first.fault,
+        said if said == first.fault else "",
         last.fault if last.mode == "suspect" else "",
-        float(t[aware[0]] - t[begin]) if aware.size else math.nan,
-        float(t[right[0]] - t[begin]) if right.size else math.nan,
-        size,
-        float(np.mean(np.abs(error) <= bound)),
-        len(wrong),
-        float(t[begin] - t[0]) / 3600.0,
+        _since(first, {one.begin: one.noticed for one in found.episodes}),
+        _since(first, {one.begin: one.named for one in found.episodes}),
+        largest.size_error,
+        found.inside[first.fault],
+        *rest,
     )
 
 
-def _nothing_wrong(done: Watched, flight: str, said: NDArray[Any]) -> Told:
-    t = done.table["t"]
-    alarms = sum(event.mode == "fault" for event in done.events)
-    nan = math.nan
-    return Told(flight, "", str(said[-1]), "", nan, nan, nan, nan, alarms, float(t[-1] - t[0]) / 3600.0)
+def _since(first: Episode, delays: Mapping[float, float]) -> float:
+    """From the beginning of the first episode to the earliest of what came so long after the beginning of each, s."""
+    came = [begin + delay - first.begin for begin, delay in delays.items() if not math.isnan(delay)]
+    return min(came, default=math.nan)
 
 
 def _s(value: float) -> str:

@@ -33,11 +33,12 @@ from faultrecon.runtime.decision import (
 from faultrecon.runtime.events import Event, Evidence, Open, closed, opened
 from faultrecon.runtime.isolation import Isolation
 from faultrecon.runtime.samples import State, Trace, checked_log
-from faultrecon.runtime.watch import Watch
+from faultrecon.runtime.watch import Batch, Findings, Watch
 from faultrecon.storage.hashing import canonical_digest
 
 Array = NDArray[Any]
 
+MODE_NAMES, QUALITY_NAMES = np.array(MODES), np.array(QUALITIES)
 BLOCK = 4096  # samples that are looked at together: some MB of tests
 LATE = 1.5  # sample times: a longer interval is one in which rows are missing
 
@@ -162,15 +163,16 @@ class Monitor:
         t, u, y = checked_log(t, u, y, self.plant.B.shape[1], self.plant.p)
         if state.samples and len(t) and not t[0] > state.t:
             raise InputError(f"the sample at {t[0]:g} s follows the one at {state.t:g} s", why="time must increase")
-        parts = []
+        rows = self._room(len(t))
         for k in range(0, max(len(t), 1), BLOCK):
             here = slice(k, k + BLOCK)
-            state, rows = self._block(state, t[here], u[here], y[here])
-            parts.append(rows)
-        return state, {name: np.concatenate([part[name] for part in parts]) for name in self.columns}
+            state = self._block(state, t[here], u[here], y[here], {name: column[here] for name, column in rows.items()})
+        return state, rows
 
-    def _block(self, state: MonitorState, t: Array, u: Array, y: Array) -> tuple[MonitorState, dict[str, Array]]:
-        """The same for a number of samples that fits the processor's cache."""
+    def _block(
+        self, state: MonitorState, t: Array, u: Array, y: Array, into: Mapping[str, NDArray[Any]]
+    ) -> MonitorState:
+        """The same for a number of samples that fits the processor's cache; the rows are written into `into`."""
         waits = np.diff(t, prepend=state.t if state.samples else np.array([*t[:1], 0.0])[0] - self.sample_time)
         gap = (waits > LATE * self.sample_time).astype(float)
         looked = self._look(state, t, u, y, gap)
@@ -196,12 +198,12 @@ class Monitor:
             now_open,
             events,
         )
-        return after, self._rows(t, shown, named, looked, corrected, quality)
+        self._write(into, t, shown, named, looked, corrected, quality)
+        return after
 
     def finish(self, state: MonitorState) -> dict[str, Array]:
         """No row waits."""
-        nothing = np.empty((0, self.plant.B.shape[1])), np.empty((0, self.plant.p))
-        return self._block(state, np.empty(0), *nothing)[1]
+        return self._room(0)
 
     def events(self, state: MonitorState) -> tuple[Event, ...]:
         """What has happened, what is still going on included."""
@@ -213,9 +215,10 @@ class Monitor:
 
     def _look(self, state: MonitorState, t: Array, u: Array, y: Array, gap: Array) -> _Looked:
         """Every hypothesis over the samples: estimates, tests, and what is left of each explanation."""
-        shares = np.empty((len(t), sum(h.watch.tests for h in self.hypotheses)))
-        traces, live, seen, column = [], [], [], 0
-        for h, before, alive in zip(self.hypotheses, state.estimators, state.live, strict=True):
+        batch = Batch.of(u, y, gap)
+        found, parts = Findings.room(len(t), [h.watch for h in self.hypotheses])
+        traces, live = [], []
+        for h, before, alive, part in zip(self.hypotheses, state.estimators, state.live, parts, strict=True):
             estimator = h.watch.estimator
             if before.samples == 0 and len(t):
                 guess = h.watch.bounds.beginning.guess(u[0], y[0])
@@ -223,16 +226,11 @@ class Monitor:
                 trace = estimator.replay(t, u, y, x=guess)
             else:
                 trace = estimator.replay(t, u, y, state=before)
-            after, found = h.watch.look(alive, u, y, gap, trace, shares[:, column : column + h.watch.tests])
-            column += h.watch.tests
+            live.append(h.watch.look(alive, batch, trace, part))
             traces.append(trace)
-            live.append(after)
-            seen.append(found)
-        peaks = np.column_stack([s.peak for s in seen])
-        misfit = self.isolation.ask(shares, peaks, np.hstack([s.amplitude for s in seen]))
-        own, faded = (np.column_stack(part) for part in ([s.own for s in seen], [s.faded for s in seen]))
-        failed = (peaks.max(axis=1, keepdims=True) > 1.0) if len(t) else np.zeros((0, 1), dtype=bool)
-        return _Looked(traces, tuple(live), failed, misfit, own, faded, [s.bound for s in seen])
+        misfit, failed = self.isolation.ask(found)
+        bounds = [part.bound for part in parts]
+        return _Looked(traces, tuple(live), failed, misfit, found.own, found.faded, bounds)
 
     def _events(
         self,
@@ -277,16 +275,36 @@ class Monitor:
             for i, name in enumerate(self._names)
         )
 
-    def _rows(
-        self, t: Array, mode: Array, named: Array, looked: _Looked, corrected: Array, quality: Array
-    ) -> dict[str, Array]:
-        names = np.array([*self._names, ""])
-        values: list[Array] = [t, np.array(MODES)[mode], names[named]]
-        for i in self.singles.values():
-            values += [looked.traces[i].fault[:, 0], looked.bounds[i][:, 0]]
-        for i in range(self.plant.p):
-            values += [corrected[:, i], np.array(QUALITIES)[quality[:, i]]]
-        return dict(zip(self.columns, values, strict=True))
+    def _room(self, rows: int) -> dict[str, NDArray[Any]]:
+        """Columns for so many rows, not yet written."""
+        kinds = {"mode": MODE_NAMES.dtype, "fault": self._said.dtype}
+        kinds |= {f"{name}_quality": QUALITY_NAMES.dtype for name in self.plant.signals.y.names}
+        return {name: np.empty(rows, dtype=kinds.get(name, float)) for name in self.columns}
+
+    @cached_property
+    def _said(self) -> NDArray[np.str_]:
+        """The names of the hypotheses, and of none as the last."""
+        return np.array([*self._names, ""])
+
+    def _write(
+        self,
+        into: Mapping[str, NDArray[Any]],
+        t: Array,
+        mode: Array,
+        named: Array,
+        looked: _Looked,
+        corrected: Array,
+        quality: Array,
+    ) -> None:
+        into["t"][:] = t
+        np.take(MODE_NAMES, mode, out=into["mode"], mode="wrap")
+        np.take(self._said, named, out=into["fault"], mode="wrap")
+        for name, i in self.singles.items():
+            into[f"f_{name}"][:] = looked.traces[i].fault[:, 0]
+            into[f"f_{name}_bound"][:] = looked.bounds[i][:, 0]
+        for i, name in enumerate(self.plant.signals.y.names):
+            into[f"{name}_corrected"][:] = corrected[:, i]
+            np.take(QUALITY_NAMES, quality[:, i], out=into[f"{name}_quality"], mode="wrap")
 
     # ------------------------------------------------------------ to keep and to go on
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cache, cached_property
 from typing import Any
 
@@ -22,7 +22,7 @@ from faultrecon.graph.compiled import Program, load, obstacle, plain_text
 from faultrecon.plant.plant import Plant
 from faultrecon.runtime.bounds import Bounds
 from faultrecon.runtime.estimator import Estimator
-from faultrecon.runtime.samples import Trace
+from faultrecon.runtime.samples import Trace, columns
 from faultrecon.runtime.watchloop import CONSTANTS, FAR, LOOP, forgiving, pass_over
 
 Array = NDArray[Any]
@@ -30,18 +30,42 @@ Array = NDArray[Any]
 SIGNATURE = ", ".join(
     [
         *("block", "block", "block", "block", "table", "vector", "table"),
-        *("vector", "vector", "vector", "vector", "table", "table", "table", "into", "into", "into"),
+        *("vector", "vector", "vector", "vector", "vector", "table", "table", "table"),
+        *("into", "into", "into", "into", "into", "into", "into"),
     ]
 )
 
 
 @dataclass(frozen=True, eq=False)
-class Seen:
-    """What one watch found over N samples.
+class Batch:
+    """N samples as every watch reads them: u (m, N), y (p, N), signal by signal.
 
-    peak, own (N,): the largest of all tests, and of those on its own faults, in bounds.  faded (N,): 1 where nothing is
-    left untested.  bound, amplitude (N, q): of the faults, how far the estimate may be off, and how large they have
-    been at most, what is past counting for less and less.
+    gap (N,): 1 where rows are missing before the sample.  whole (N,): 1 where neither u nor y lacks anything.
+    """
+
+    u: Array
+    y: Array
+    gap: Array
+    whole: Array
+
+    @staticmethod
+    def of(u: Array, y: Array, gap: Array) -> Batch:
+        """From samples u (N, m), y (N, p), and gap (N,) of anything that is true or false."""
+        with np.errstate(invalid="ignore"):  # nothing times infinity is not a number, which is what is asked
+            sums = u @ np.zeros(u.shape[1]) + y @ np.zeros(y.shape[1])
+        whole = (sums == 0.0).astype(float)
+        return Batch(np.ascontiguousarray(u.T), np.ascontiguousarray(y.T), gap.astype(float), whole)
+
+
+@dataclass(frozen=True, eq=False)
+class Findings:
+    """What watches found over N samples.
+
+    peak, own (N, watches): the largest of all tests, and of those on its own faults, in bounds.  faded (N, watches): 1
+    where nothing is left untested.  bound, amplitude (N, faults): how far each estimate may be off, and how large the
+    fault has been at most, what is past counting for less and less.
+    shares (N, tests): how much of its bound each test uses up, scale by scale, 0 where nothing can be said.  Of a watch
+    whose peak is not above 1 they are not written.
     """
 
     peak: Array
@@ -49,6 +73,24 @@ class Seen:
     faded: Array
     bound: Array
     amplitude: Array
+    shares: Array
+
+    @staticmethod
+    def room(rows: int, watches: Sequence[Watch]) -> tuple[Findings, list[Findings]]:
+        """Room for those of several watches, and the parts that each of them writes."""
+        faults = np.cumsum([0, *(w.bounds.faults for w in watches)])
+        tests = np.cumsum([0, *(w.tests for w in watches)])
+        sizes = [len(watches)] * 3 + [int(faults[-1])] * 2
+        every = Findings(*(columns(rows, size) for size in sizes), np.empty((rows, int(tests[-1]))))
+        parts = []
+        for g in range(len(watches)):
+            one, f, s = slice(g, g + 1), slice(faults[g], faults[g + 1]), slice(tests[g], tests[g + 1])
+            parts.append(every._part([one, one, one, f, f, s]))
+        return every, parts
+
+    def _part(self, places: Sequence[slice]) -> Findings:
+        every = self.peak, self.own, self.faded, self.bound, self.amplitude, self.shares
+        return Findings(*(table[:, here] for table, here in zip(every, places, strict=True)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,11 +109,6 @@ class Watch:
     poles: tuple[float, ...]
     memory: float = 0.0
     compiled: bool = True
-    _offsets: Array = field(init=False)
-
-    def __post_init__(self) -> None:
-        point = self.plant.point
-        object.__setattr__(self, "_offsets", np.concatenate([point.y, point.x, point.u]))
 
     def init(self, blind: bool = False) -> Array:
         """Before the first sample; blind: that one lacks something, so that the estimator begins at rest."""
@@ -95,6 +132,12 @@ class Watch:
         return np.column_stack([i, j, sensors[i, j]])
 
     @cached_property
+    def _offsets(self) -> Array:
+        """What each sensor would show at [x; u] = 0."""
+        plant, point = self.plant, self.plant.point
+        return np.array(point.y) - plant.C @ np.array(point.x) - plant.D @ np.array(point.u)
+
+    @cached_property
     def limits(self) -> Array:
         """What each test allows, (scales, q + p); inf where nothing is tested: sensors that the faults reach."""
         limits = forgiving(self.bounds.steady)
@@ -102,23 +145,18 @@ class Watch:
         limits[limits == 0.0] = np.finfo(float).tiny
         return limits
 
-    def look(self, live: Array, u: Array, y: Array, gap: Array, trace: Trace, shares: Array) -> tuple[Array, Seen]:
-        """The tests over N samples and the state after them.
-
-        gap (N,): 1 where rows are missing before the sample.  shares (N, tests) is written where `peak` is
-        above 1, and nowhere else: how much of its bound each test uses up, scale by scale; 0 where nothing can be said.
-        """
-        b, q = self.bounds, self.bounds.faults
-        live, out = live.copy(), np.empty((len(y), 3 + 2 * q))
-        poles = np.array([*self.poles, self.memory])
+    def look(self, live: Array, batch: Batch, trace: Trace, into: Findings) -> Array:
+        """The tests over N samples, written into `into`, and the state after them."""
+        b, live = self.bounds, live.copy()
+        bound = forgiving(b.steady)[0, : b.faults]
         loop = _compiled() if self.compiled else pass_over
         loop(
-            *(np.ascontiguousarray(y), np.ascontiguousarray(u)),
-            *(np.ascontiguousarray(trace.state.T), np.ascontiguousarray(trace.fault.T)),
-            *(self._reads, self._offsets, np.minimum(self.limits, FAR)),
-            *(poles, forgiving(b.steady)[0, :q], gap, b.diverges, b.rate, b.anew, b.lost, live, shares, out),
+            *(batch.y, batch.u, np.ascontiguousarray(trace.state.T), np.ascontiguousarray(trace.fault.T)),
+            *(self._reads, self._offsets, np.minimum(self.limits, FAR), np.array([*self.poles, self.memory]), bound),
+            *(batch.gap, batch.whole, b.diverges, b.rate, b.anew, b.lost, live),
+            *(into.shares, into.peak, into.own, into.faded, into.bound, into.amplitude),
         )
-        return live, Seen(out[:, 0], out[:, 1], out[:, 2], out[:, 3 : 3 + q], out[:, 3 + q :])
+        return live
 
 
 @cache

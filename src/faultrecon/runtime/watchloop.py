@@ -49,21 +49,27 @@ def pass_over(
     poles: Array,
     bound: Array,
     gap: Array,
+    whole: Array,
     diverges: Array,
     rate: Array,
     anew: Array,
     lost: Array,
     live: Array,
     shares: Array,
-    out: Array,
+    peak: Array,
+    own: Array,
+    faded: Array,
+    off: Array,
+    size: Array,
 ) -> int:
-    """One pass over the samples; `live`, `shares` and `out` are written.
+    """One pass over the samples; the last seven are written: `live`, and what `Findings` says of one watch.
 
-    y (N, p) and u (N, m) row by row, state (n, N) and fault (q, N) signal by signal.  reads (k, 3): rows [i, j, c], by
-    which error i falls by c times what [x; u] has at j.  limits (scales, errors): FAR where nothing is tested.
+    y (p, N), u (m, N), state (n, N), fault (q, N).  offsets (p,) and reads (k, 3): what sensor i shows is expected to be
+    offsets[i] and, by the rows [i, j, c] in order of i, c times what [x; u] has at j.  limits (scales, errors): FAR
+    where nothing is tested.
     """
-    rows, scales, errors = y.shape[0], limits.shape[0], limits.shape[1]
-    held, values, whole = np.empty(live.shape), np.empty((TILE, errors)), np.empty(TILE)
+    rows, scales, errors, q = y.shape[1], limits.shape[0], limits.shape[1], fault.shape[0]
+    held, one, values = np.empty(live.shape), np.empty(TILE), np.empty((TILE, errors))
     inverse, cut, top = np.empty(limits.shape), np.empty(errors), np.empty(errors)
     held[:] = live
     for e in range(errors):
@@ -73,29 +79,31 @@ def pass_over(
     owing = owes(held, limits)
     for begin in range(0, rows, TILE):
         end = min(begin + TILE, rows)
-        find_errors(y, u, state, fault, reads, offsets, limits, begin, end, values, whole)
+        find_errors(y, u, state, fault, reads, offsets, limits, begin, end - begin, one, values)
         for k in range(begin, end):
-            value = values[k - begin]
-            complete, out[k, 2] = whole[k - begin] == 1.0 and gap[k] == 0.0, 1.0
+            value, complete = values[k - begin], whole[k] == 1.0 and gap[k] == 0.0
+            for j in range(q):
+                complete = complete and math.isfinite(fault[j, k])
+            faded[k, 0] = 1.0
             if complete and owing == NOTHING:
                 settled_way(held, value, poles, cut, inverse, top)
             elif complete and owing == LITTLE:
                 fading_way(held, value, poles, cut, limits, rate, top)
                 owing = owes(held, limits)
             else:
-                fade(held, 2 * scales, u[k], gap[k], rate, anew)
-                fall_silent(held, 2 * scales, y[k], diverges, anew, lost)
-                out[k, 2] = long_way(held, value, poles, cut, inverse, limits, top)
+                fade(held, 2 * scales, u[:, k], gap[k], rate, anew)
+                fall_silent(held, 2 * scales, y[:, k], diverges, anew, lost)
+                faded[k, 0] = long_way(held, value, poles, cut, inverse, limits, top)
                 owing = owes(held, limits)
-            peak = 0.0
+            largest = 0.0
             for e in range(errors):
-                if e == fault.shape[0]:
-                    out[k, 1] = peak
-                peak = top[e] if top[e] > peak else peak
-            out[k, 0] = peak
-            if peak > 1.0:
+                if e == q:
+                    own[k, 0] = largest
+                largest = top[e] if top[e] > largest else largest
+            peak[k, 0] = largest
+            if largest > 1.0:
                 tell_shares(held, inverse, limits, top, shares[k])
-            remember(held, out[k], fault[:, k], bound, poles)
+            remember(held, fault, k, bound, poles, off, size)
     live[:] = held
     return 0
 
@@ -109,33 +117,29 @@ def find_errors(
     offsets: Array,
     limits: Array,
     begin: int,
-    end: int,
+    rows: int,
+    one: Array,
     values: Array,
-    whole: Array,
 ) -> None:
-    """The faults, and what each tested sensor shows beyond what the estimate expects; which samples lack nothing."""
-    p, n, q = y.shape[1], state.shape[0], fault.shape[0]
-    for k in range(begin, end):
-        whole[k - begin] = 1.0
-        for j in range(u.shape[1]):
-            if not math.isfinite(u[k, j]):
-                whole[k - begin] = 0.0
-        for j in range(q):
-            values[k - begin, j] = fault[j, k]
-            if not math.isfinite(fault[j, k]):
-                whole[k - begin] = 0.0
-        for i in range(p):
-            values[k - begin, q + i] = y[k, i] - offsets[i] if limits[0, q + i] < FAR else 0.0
-            if not math.isfinite(y[k, i]):
-                whole[k - begin] = 0.0
-    for r in range(reads.shape[0]):
-        e, j, c = q + int(reads[r, 0]), int(reads[r, 1]), reads[r, 2]
-        if j < n:
-            for k in range(begin, end):
-                values[k - begin, e] -= c * (state[j, k] - offsets[p + j])
-        else:
-            for k in range(begin, end):
-                values[k - begin, e] -= c * (u[k, j - n] - offsets[p + j])
+    """The faults, and what each tested sensor shows beyond what the estimate expects; one (TILE,) to work on."""
+    n, q, r = state.shape[0], fault.shape[0], 0
+    for j in range(q):
+        for k in range(rows):
+            values[k, j] = fault[j, begin + k]
+    for i in range(y.shape[0]):
+        for k in range(rows):
+            one[k] = y[i, begin + k] - offsets[i] if limits[0, q + i] < FAR else 0.0
+        while r < reads.shape[0] and int(reads[r, 0]) == i:
+            j, c = int(reads[r, 1]), reads[r, 2]
+            if j < n:
+                for k in range(rows):
+                    one[k] -= c * state[j, begin + k]
+            else:
+                for k in range(rows):
+                    one[k] -= c * u[j - n, begin + k]
+            r += 1
+        for k in range(rows):
+            values[k, q + i] = one[k]
 
 
 def owes(live: Array, limits: Array) -> int:
@@ -275,18 +279,17 @@ def wait(live: Array, e: int, rest: float, poles: Array) -> None:
         live[scales + s, e] = poles[s] * live[scales + s, e] + (1.0 - poles[s]) * (1.0 + rest)
 
 
-def remember(live: Array, out: Array, fault: Array, bound: Array, poles: Array) -> None:
+def remember(live: Array, fault: Array, k: int, bound: Array, poles: Array, off: Array, size: Array) -> None:
     """How far each estimate may be off, and how large the faults have been at most."""
-    last, q = live.shape[0] - 1, fault.shape[0]
-    for j in range(q):
+    last = live.shape[0] - 1
+    for j in range(fault.shape[0]):
         rest = live[last - 2, j] + live[last - 1, j]
-        off = bound[j] * (1.0 + rest) if rest < FAR else math.inf
+        off[k, j] = bound[j] * (1.0 + rest) if rest < FAR else math.inf
         past = live[last, j] * poles[poles.shape[0] - 1]
-        if math.isfinite(fault[j]):
-            past = max(past, abs(fault[j]))
+        if math.isfinite(fault[j, k]):
+            past = max(past, abs(fault[j, k]))
         live[last, j] = past
-        out[3 + j] = off
-        out[3 + q + j] = past + off
+        size[k, j] = past + off[k, j]
 
 
 LOOP = (
