@@ -177,9 +177,9 @@ def looked(watch, flight):
     """Estimates, what the watch says about them, and the shares of all its tests where one is above 1 (N, scales, q + p)."""
     guess = watch.bounds.beginning.guess(flight.u[0], flight.y[0])
     trace = watch.estimator.replay(flight.t, flight.u, flight.y, x=guess)
-    gap = np.diff(flight.t, prepend=flight.t[0] - watch.estimator.sample_time) > 1.5 * watch.estimator.sample_time
+    waits = np.diff(flight.t, prepend=flight.t[0] - watch.estimator.sample_time) / watch.estimator.sample_time
     seen, _ = Findings.room(len(flight.t), [watch])
-    watch.look(watch.init(blind=guess is None), Batch.of(flight.u, flight.y, gap), trace, seen)
+    watch.look(watch.init(blind=guess is None), Batch.of(flight.u, flight.y, waits), trace, seen)
     shares = np.where(seen.peak > 1.0, seen.shares, 0.0)
     return trace, seen, shares.reshape(len(flight.t), len(watch.poles), -1)
 

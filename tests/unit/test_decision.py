@@ -27,16 +27,16 @@ W = 6
 RULES = Rules(window=W, patience=3)
 
 
-def decided(failed, outside, faded=None, faults=(1, 1, 1), cuts=()):
+def decided(failed, outside, faded=None, faults=(1, 1, 1), cuts=(), heard=None):
     """Mode, named and candidates after every row, by one call for each piece."""
     failed, outside = np.asarray(failed, dtype=bool)[:, None], np.asarray(outside, dtype=bool)
-    faded = np.ones_like(outside) if faded is None else np.asarray(faded, dtype=bool)
+    faded, heard = (np.ones_like(outside) if one is None else np.asarray(one, dtype=bool) for one in (faded, heard))
     decider, counts, standing = Decider(RULES, faults), Counts.none(RULES, len(faults)), Standing()
     rows = []
     edges = [0, *sorted(cuts), len(failed)]
     for a, b in pairwise(edges):
         before = standing
-        counts, verdicts = counted(RULES, counts, failed[a:b], outside[a:b], faded[a:b])
+        counts, verdicts = counted(RULES, counts, Counts(failed[a:b], outside[a:b], faded[a:b], heard[a:b]))
         standing, changes = decider.decide(standing, verdicts)
         assert [c.row for c in changes] == sorted({c.row for c in changes})
         here = [before] * (b - a)
@@ -59,7 +59,7 @@ SECOND = (True, (True, False, True))
 
 def test_before_anything_can_be_tested_nothing_is_said():
     failed, outside = rows_of((30, *FIRST))
-    assert decided(failed, outside, np.zeros((30, 3))) == [(WARMING, NOBODY, ())] * 30
+    assert {row[:2] for row in decided(failed, outside, np.zeros((30, 3)))} == {(WARMING, NOBODY)}
 
 
 def test_when_all_is_well_it_tracks():
@@ -138,6 +138,33 @@ def test_a_hypothesis_that_has_just_begun_never_looks_best():
     fresh[20:50, 1] = False
     found = decided(failed, outside, fresh)
     assert all(who != 1 for _, who, _ in found[: 50 + W - 1])
+    assert found[-1][:2] == (FAULT, 1)
+
+
+def test_a_rival_that_is_not_refuted_keeps_a_name_open_though_it_is_not_tested():
+    failed, outside = rows_of((20, *QUIET), (60, True, (False, False, True)))
+    silent = np.ones((80, 3), dtype=bool)
+    silent[:, 1] = False
+    assert {row[:2] for row in decided(failed, outside, silent)[30:]} == {(SUSPECT, NOBODY)}
+
+
+def test_what_an_untested_hypothesis_explains_is_not_out_of_envelope():
+    failed, outside = rows_of((20, *QUIET), (80, *SECOND))
+    silent = np.ones((100, 3), dtype=bool)
+    silent[:, 1] = False
+    assert {row[0] for row in decided(failed, outside, silent)[30:]} == {SUSPECT}
+
+
+def test_a_hypothesis_that_is_rejected_is_named_no_longer():
+    found = decided(*rows_of((20, *QUIET), (40, *FIRST), (80, True, (True, True, True))))
+    assert {who for _, who, _ in found[60 + W :]} == {NOBODY}
+
+
+def test_a_named_sensor_that_falls_silent_has_not_recovered():
+    failed, outside = rows_of((20, *QUIET), (40, *FIRST), (80, *QUIET))
+    heard = np.ones((140, 3), dtype=bool)
+    heard[60:, 0] = False
+    assert {row[:2] for row in decided(failed, outside, heard=heard)[60:]} == {(FAULT, 0)}
 
 
 @settings(max_examples=150, deadline=None)
@@ -148,7 +175,8 @@ def test_where_the_samples_are_cut_changes_nothing(data):
     failed, outside = rows_of(*parts)
     flips = rng.random(outside.shape) < 0.1
     faded = rng.random(outside.shape) < 0.98
+    heard = rng.random(outside.shape) < 0.6
     cuts = data.draw(st.lists(st.integers(0, len(failed)), max_size=20))
-    whole = decided(failed, outside ^ flips, faded)
-    assert decided(failed, outside ^ flips, faded, cuts=cuts) == whole
-    assert decided(failed, outside ^ flips, faded, cuts=range(1, len(failed))) == whole
+    whole = decided(failed, outside ^ flips, faded, heard=heard)
+    assert decided(failed, outside ^ flips, faded, cuts=cuts, heard=heard) == whole
+    assert decided(failed, outside ^ flips, faded, cuts=range(1, len(failed)), heard=heard) == whole

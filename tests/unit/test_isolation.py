@@ -12,6 +12,7 @@ from faultrecon.plant.plant import Plant
 from faultrecon.plant.signals import Channels, Noise, Signals
 from faultrecon.runtime.errors import error_system
 from faultrecon.runtime.isolation import _ask, _compiled, isolation
+from faultrecon.runtime.watch import Batch, Findings
 from faultrecon.runtime.watch import _compiled as compiled_watch
 from faultrecon.runtime.watchloop import pass_over
 
@@ -65,7 +66,7 @@ def test_the_true_explanation_never_fails(cart, cart_monitor, drive, name, shape
         "spikes": 50.0 * (rng.random(rows) < 0.01) * (k > 200),
     }[shape]
     t, u, y = drive(cart, rng, rows, faults={name: fault}, gaussian=False)
-    looked = cart_monitor._look(cart_monitor.start(), t, u, y, np.zeros(rows))
+    looked = cart_monitor._look(cart_monitor.start(), t, u, y, np.ones(rows))
     true = [h.name for h in cart_monitor.hypotheses].index(name)
     assert looked.misfit[:, true].max() <= 1.0
     assert looked.failed.any()
@@ -77,7 +78,7 @@ def test_a_fault_that_is_over_excuses_what_slow_tests_remember_of_it(by_hand, ca
     for i, name in enumerate(cart.signals.y):
         fault = 20.0 * ((k > 500) & (k < 540))
         t, u, y = drive(cart, np.random.default_rng(i), 1500, faults={name: fault}, gaussian=False)
-        assert monitor._look(monitor.start(), t, u, y, np.zeros(1500)).misfit[:, i].max() <= 1.0
+        assert monitor._look(monitor.start(), t, u, y, np.ones(1500)).misfit[:, i].max() <= 1.0
 
 
 def test_the_table_does_not_depend_on_the_order_of_hypotheses(by_hand, cart):
@@ -94,19 +95,21 @@ def test_compiled_and_interpreted_agree_to_the_last_bit(cart, cart_monitor, driv
     t, u, y = drive(cart, np.random.default_rng(5), 900, faults={"s1": np.linspace(0.0, 1.0, 900)})
     y[100:120, 1] = y[300, :] = np.nan
     u[500] = np.nan
-    gap = (np.arange(900) == 700).astype(float)
+    waits = np.where(np.arange(900) == 700, 3.0, np.where(np.arange(900) == 750, 0.5, 1.0))
     watch = cart_monitor.hypotheses[0].watch
     trace = watch.estimator.replay(t, u, y)
-    shares = [np.zeros((900, watch.tests)) for _ in range(2)]
     assert compiled_watch() is not pass_over
+    found = [Findings.room(900, [watch])[0] for _ in range(2)]
     ends = [
-        replace(watch, compiled=c).look(watch.init(), u, y, gap, trace, s)
-        for c, s in zip((True, False), shares, strict=True)
+        replace(watch, compiled=compiled).look(watch.init(), Batch.of(u, y, waits), trace, into)
+        for compiled, into in zip((True, False), found, strict=True)
     ]
-    np.testing.assert_array_equal(*shares)
-    np.testing.assert_array_equal(ends[0][0], ends[1][0])
+    np.testing.assert_array_equal(*ends)
     for name in ("peak", "own", "faded", "bound", "amplitude"):
-        np.testing.assert_array_equal(getattr(ends[0][1], name), getattr(ends[1][1], name))
+        np.testing.assert_array_equal(*(getattr(one, name) for one in found))
+    told = found[0].peak[:, 0] > 1.0
+    assert told.any()
+    np.testing.assert_array_equal(*(one.shares[told] for one in found))
 
     table = cart_monitor.isolation
     rng = np.random.default_rng(6)
@@ -114,7 +117,7 @@ def test_compiled_and_interpreted_agree_to_the_last_bit(cart, cart_monitor, driv
     amplitudes = rng.exponential(1.0, (400, len(table.excuse)))
     begins = table.begins[0].astype(int)
     peaks = np.column_stack([shares[:, a:b].max(axis=1) for a, b in pairwise(begins)])
-    found = [np.empty((400, table.first.shape[1] - 1)) for _ in range(2)]
+    found = [np.empty((400, table.first.shape[1])) for _ in range(2)]
     assert _compiled() is not _ask
     for ask, out in zip((_compiled(), _ask), found, strict=True):
         ask(shares, peaks, amplitudes, table.excuse, table.first, table.begins, out)

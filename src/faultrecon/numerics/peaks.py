@@ -9,7 +9,7 @@ standard deviation s leaves sqrt(Σₖ hₖ²) s.  Both also for y behind low-pa
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -98,33 +98,48 @@ class Fading:
 def fading(M: Array, C: Array, box: Array, units: Array, rate: Array | None = None) -> Fading:
     """How fast |C Mᵏ box| fades, each output in its unit: C (r, n), box (n, k), columns of which any |share| ≤ 1.
 
-    Of all such pairs above an output, until it has faded, one with nearly the smallest sum is taken.  rate (r,): of
-    the slow part, which then does it alone.
+    Of all such pairs above an output, until it has faded, one with nearly the smallest sum is taken; rate (2, r): of
+    those with these rates.
     """
     r = C.shape[0]
     if not M.size or not box.size:
-        return Fading(np.zeros((2, r)), np.zeros((2, r)))
+        return Fading(np.zeros((2, r)), np.zeros((2, r)) if rate is None else rate)
     slowest = float(np.abs(np.linalg.eigvals(M)).max())
     if slowest >= 1.0:
-        return Fading(np.full((2, r), np.inf), np.ones((2, r)))
+        return Fading(np.full((2, r), np.inf), np.ones((2, r)) if rate is None else rate)
     ends, table = _envelope(M, C, box, units)
+    best = np.full(r, np.inf), Fading(np.full((2, r), np.inf), np.full((2, r), slowest))
     if rate is not None:
-        return Fading(np.vstack([np.zeros(r), _above(ends, table, rate)]), np.vstack([np.zeros(r), rate]))
-    best, first, rates = np.full(r, np.inf), np.full((2, r), np.inf), np.full((2, r), slowest)
+        return Fading(_least(best, ends, table, rate[1], lambda _: rate[0])[1].first, rate)
     tries = np.concatenate([1.0 - (1.0 - slowest) * 0.5 ** np.arange(1, 3), slowest**1.5 ** np.arange(16)])
     for slow in tries[tries > AT_ONCE]:
-        tails = np.maximum.accumulate((np.log(table) - ends[:, None] * np.log(slow))[::-1], axis=0)[::-1]
-        for cut in range(0, len(ends), 4):
-            size = np.exp(np.minimum(tails[cut], BEYOND))
-            rest = np.maximum(table - size * np.exp(ends * np.log(slow))[:, None], 0.0)[:cut]
-            quick = np.exp(-3.0 / max(ends[cut - 1], 1.0)) if cut else 0.0
-            more = np.max(rest / np.exp(ends[:cut] * np.log(quick))[:, None], axis=0) if cut else np.zeros(r)
-            total = more / (1.0 - quick) + size / (1.0 - slow)
-            better = total < best
-            best = np.where(better, total, best)
-            first = np.where(better, np.vstack([more, size]), first)
-            rates = np.where(better, np.array([[quick], [slow]]), rates)
-    return Fading(first, rates)
+        best = _least(best, ends, table, np.full(r, slow), lambda end: np.full(r, np.exp(-3.0 / max(end, 1.0))))
+    return best[1]
+
+
+def _least(
+    best: tuple[Array, Fading], ends: Array, table: Array, slow: Array, quick: Callable[[float], Array]
+) -> tuple[Array, Fading]:
+    """The best sums and their pairs, where none with this slow rate has a smaller one, by output.
+
+    The slow part lies above all from one stretch on, the quick one, at a rate that goes by where that is, above what
+    is left before it.
+    """
+    total, found = best
+    decay = np.multiply.outer(ends, np.log(slow))
+    tails = np.maximum.accumulate((np.log(table) - decay)[::-1], axis=0)[::-1]
+    for cut in range(0, len(ends), 4):
+        size, more, rate = np.exp(np.minimum(tails[cut], BEYOND)), 0.0 * slow, 0.0 * slow
+        if cut:
+            rate = quick(ends[cut - 1])
+            rest = np.maximum(table[:cut] - size * np.exp(decay[:cut]), np.finfo(float).tiny)
+            earlier = np.max(np.log(rest) - np.multiply.outer(ends[:cut], np.log(rate)), axis=0)
+            more = np.exp(np.minimum(earlier, BEYOND))
+        sums = more / (1.0 - rate) + size / (1.0 - slow)
+        pair = Fading(np.vstack([more, size]), np.vstack([rate, slow]))
+        found = Fading(*(np.where(sums < total, *two) for two in ((pair.first, found.first), (pair.rate, found.rate))))
+        total = np.minimum(total, sums)
+    return total, found
 
 
 def _envelope(M: Array, C: Array, box: Array, units: Array) -> tuple[Array, Array]:
@@ -143,11 +158,6 @@ def _envelope(M: Array, C: Array, box: Array, units: Array) -> tuple[Array, Arra
     edges = np.unique(np.concatenate([np.arange(17), np.geomspace(16, len(table), 120).astype(int)]))
     largest = np.maximum.reduceat(table, edges[:-1], axis=0)
     return (edges[1:] - 1).astype(float), np.maximum(largest, np.finfo(float).tiny)
-
-
-def _above(ends: Array, table: Array, rate: Array) -> Array:
-    """The smallest size for which size × rate^k lies above an envelope, by output."""
-    return np.asarray(np.exp(np.max(np.log(table) - np.multiply.outer(ends, np.log(rate)), axis=0)))
 
 
 def _observations(M: Array, C: Array) -> tuple[Array, Array]:

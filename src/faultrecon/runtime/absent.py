@@ -32,8 +32,8 @@ class Sizes:
 
 @dataclass(frozen=True, eq=False)
 class Absence:
-    """at_once (rows,): how far the outputs at the sample itself may be moved.  later (nz, k): columns of which any
-    |share| ≤ 1 may be added to ζ at the next.
+    """at_once (rows,) or (rows + nz,): how far the outputs, and z, may be moved at the sample itself.  later (nz, k):
+    columns of which any |share| ≤ 1 may be added to ζ at the next.
     """
 
     at_once: Array
@@ -106,13 +106,13 @@ def _absence(o: Pair, unknown: _Unknown, whole: ObserverStep, i: int) -> Absence
     far = float(np.abs(off) @ unknown.size) / (1.0 - again) if again < 1.0 else np.inf
     short, off, later = (np.column_stack(both) for both in zip((short, off[None], later), before, strict=True))
     size = np.append(unknown.size, far)
-    moved = _times(np.abs(o.C @ short + np.outer(o.Dy[:, i], off[0])), size).sum(axis=1)
+    moved = times(np.abs(o.C @ short + np.outer(o.Dy[:, i], off[0])), size).sum(axis=1)
     silent = np.append(reads_directly(estimator.observer)[:, i], np.arange(o.plant.p) == i)
     moved[: len(silent)][silent] = 0.0  # those rows say nothing at this sample
-    return Absence(moved, _times(later, size))
+    return Absence(np.append(moved, np.abs(times(short, size)).sum(axis=1)), times(later, size))
 
 
-def _times(table: Array, size: Array) -> Array:
+def times(table: Array, size: Array) -> Array:
     """Columns times their sizes, where nothing times infinity is nothing."""
     with np.errstate(invalid="ignore"):
         return np.where(table == 0.0, 0.0, table * size)
@@ -140,8 +140,11 @@ def _unknown(o: Pair, sizes: Sizes) -> _Unknown:
     add([f.size for f in plant.faults], q, o.Pi_f, y0=F, y1=F + C @ driven)
     add(rates, q, y1=F + C @ goes.F1)
     add(rates / 4.0, q, y1=C @ driven)
-    add(sizes.disturbances, on.shape[1], o.y1 @ on + o.read @ goes.W, y0=on)
-    add(sizes.disturbances, on.shape[1], y1=on + C @ goes.W)
+    # what a disturbance does to states, and what it shows: it may show before it acts, so that one is not the other
+    add(sizes.disturbances, on.shape[1], o.read @ goes.W)
+    add(sizes.disturbances, on.shape[1], o.y1 @ on, y0=on)
+    add(sizes.disturbances, on.shape[1], y1=C @ goes.W)
+    add(sizes.disturbances, on.shape[1], y1=on)
     add(sizes.noise, p, o.y1, y0=np.eye(p))
     add(sizes.noise, p, y1=np.eye(p))
     if plant.nonlinearity is not None:

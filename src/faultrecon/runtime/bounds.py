@@ -13,6 +13,7 @@ Sums and norms are floating point: the bounds are checked, not proved.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, Literal
@@ -24,14 +25,16 @@ from faultrecon.numerics.peaks import Gains, fading, gains
 from faultrecon.plant.plant import Plant
 from faultrecon.runtime.absent import Absence, Sizes, absences, diverging
 from faultrecon.runtime.beginning import ANYWHERE, Beginning
-from faultrecon.runtime.errors import ErrorSystem
+from faultrecon.runtime.errors import ErrorSystem, is_noise
 from faultrecon.runtime.estimator import Estimator
+from faultrecon.runtime.missing import gaps, inputs_missing
 
 Array = NDArray[Any]
 NoiseModel = Literal["gaussian", "bounded"]
 
 LEAST = 1e-2  # of the start: how small the unit of a ζ is at least, so that one that nothing drives has one
 QUICKEST = 1e-2  # rate per sample: below it an error is gone in any case
+SUDDEN = 0.3  # the same for what counts from one sample before: at rate ρ it adds up to 1/ρ/(1 - ρ)
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,10 +56,13 @@ class Bounds:
 
     certain, random (scales, q + p): what declared bounds allow the errors f̂ - f and y - ŷ behind each low-pass filter,
     and the standard deviation that noise adds to it.
-    What is left of an unknown start is counted in units of the steady bounds, by error: `start` at the first sample,
-    `blind` where that one lacks something, `rate` per sample; a quick and a slow part of each.  An incomplete sample
-    adds to the slow one: its row of `lost`, times 1 and what is left in ζ itself, which is the last column of all.
-    start, blind, rate (2, q + p + 1), lost (p, q + p + 1).
+    What is left of an unknown start, and of what was missing, is counted in units of the steady bounds, by error; the
+    last entry is for ζ itself.  Of both there is a quick and a slow part, which makes four, (4, q + p + 1): `start` at
+    the first sample, `blind` where that one lacks something, `rate` per sample; those of what was missing begin at 0.
+    To these two add, (each, 2, q + p + 1): `skipped` at the sample after 1, 2, ... missing rows, `unfed` and `lost` at
+    a sample that lacks this input, or this sensor.  `lost` counts so many times as 1 and what is left in ζ at the
+    sample before; so does `skipped` if it `scales`.  A gap lies between samples that lack nothing, and no sensor is
+    silent at, before or after a sample that lacks an input: of all else, and of what is infinite, nothing is known.
     diverges (p + 1,): 1 for each sensor without which the error grows, the last without several.
     """
 
@@ -65,7 +71,10 @@ class Bounds:
     start: Array
     blind: Array
     rate: Array
+    skipped: Array
+    unfed: Array
     lost: Array
+    scales: bool
     diverges: Array
     beginning: Beginning
     allowance: Allowance
@@ -74,7 +83,7 @@ class Bounds:
 
     @cached_property
     def anew(self) -> Array:
-        """What is left of the start, (2, q + p + 1), where nothing is known any more."""
+        """What is left, (4, q + p + 1), where nothing is known any more."""
         return np.maximum(self.start, self.blind)
 
     @cached_property
@@ -114,23 +123,29 @@ def bounds(
     own = system.start[: len(estimator.observer.A)]
     box = _with(first.box(estimator.observer, own, allowance.crest, allowance.noise_peak), fresh)
     blind = _with(first.blind_box(own), fresh)
-    zeta = np.nan_to_num(steady[len(system.C) :], posinf=0.0) + LEAST * np.abs(box).sum(axis=1)
-    units = np.maximum(np.concatenate([steady[: len(system.C)], zeta]), np.finfo(float).tiny)
-    fades = _Fades.of(system, every, units, box)
-    slipped = system.slope * float(np.linalg.norm(steady[rows : len(system.C)]))
-    lost = absences(plant, estimator, _sizes_of(plant, allowance, zeta[: len(own)], slipped))
-    said = _assumptions(plant, estimator, system, allowance, first.undeclared)
+    units = np.nan_to_num(steady, posinf=0.0) + LEAST * np.abs(every @ box).sum(axis=1)
+    units[:rows] = steady[:rows]
+    units = np.maximum(units, np.finfo(float).tiny)
+    slipped = system.slope * float(np.linalg.norm(units[rows : len(system.C)]))
+    zeta = units[len(system.C) :][: len(own)]
+    missing = _Missing.of(plant, estimator, _sizes_of(plant, allowance, zeta, slipped))
+    fades = _Fades.of(system, every, units, box, missing.usual)
+    skipped = fades.tables([fades.come(one) for one in missing.gaps])
+    unfed, lost = (fades.tables([fades.follow(one) for one in each]) for each in (missing.inputs, missing.sensors))
     return Bounds(
         certain[:, :rows],
         spread[:, :rows],
-        fades.outputs(fades.start, rows),
-        fades.outputs(fades.begin(blind), rows),
-        fades.outputs(fades.rate, rows),
-        np.array([fades.outputs(fades.after(one), rows)[1] for one in lost]),
+        fades.outputs(np.vstack([fades.start, np.zeros_like(fades.start)])),
+        fades.outputs(np.vstack([fades.begin(blind), np.zeros_like(fades.start)])),
+        fades.outputs(fades.rate),
+        skipped,
+        unfed,
+        lost,
+        estimator.scheme == "sampled",
         diverging(estimator),
         first,
         allowance,
-        said,
+        (*_assumptions(plant, estimator, system, allowance, first.undeclared), *_of_missing(skipped, unfed, lost)),
         system.faults,
     )
 
@@ -161,9 +176,37 @@ def _sizes_of(plant: Plant, allowance: Allowance, zeta: Array, slipped: float) -
 
 
 @dataclass(frozen=True, eq=False)
-class _Fades:
-    """How every output and every ζ fades, in units: start, rate (2, rows + nz), by a quick and by a slow part.
+class _Missing:
+    """What rows, inputs and sensors that are missing do to the error."""
 
+    gaps: list[Absence]
+    inputs: list[Absence]
+    sensors: list[Absence]
+
+    @staticmethod
+    def of(plant: Plant, estimator: Estimator, sizes: Sizes) -> _Missing:
+        """While ζ is within its steady bound."""
+        return _Missing(
+            gaps(plant, estimator, sizes), inputs_missing(plant, estimator), absences(plant, estimator, sizes)
+        )
+
+    @property
+    def usual(self) -> Array:
+        """One row or one sensor, (nz, k), as far as anything is known."""
+        each = [one.later for one in (self.gaps[0], *self.sensors)]
+        known = [one for one in each if _known(one)]
+        return np.hstack(known) if known else np.zeros((len(each[0]), 0))
+
+
+def _known(later: Array) -> bool:
+    return bool(np.isfinite(later).all())
+
+
+@dataclass(frozen=True, eq=False)
+class _Fades:
+    """How every output and every ζ fades, in units: start (2, rows + nz), by a quick and by a slow part.
+
+    rate (4, rows + nz): of the start, and of what was missing.
     What fades is fed on by φ(x̂) - φ(x), which goes back to what φ reads: by the small-gain argument for outputs that
     are weighed with rate^-k.  through (rows + nz,): what one unit of it adds then; back: what it makes of one unit.
     """
@@ -177,12 +220,13 @@ class _Fades:
     back: float
 
     @staticmethod
-    def of(system: ErrorSystem, every: Array, units: Array, box: Array) -> _Fades:
-        """From a box of ζ to begin with."""
+    def of(system: ErrorSystem, every: Array, units: Array, box: Array, missing: Array) -> _Fades:
+        """From a box of ζ to begin with, and one of what is added where something is missing."""
         rows, columns = len(every), [k for k, s in enumerate(system.sources) if s.kind == "nonlinearity"]
         if not columns or system.slope == 0.0:
             begins = fading(system.M, every, box, units)
-            rate = np.maximum(begins.rate, QUICKEST)
+            later = fading(system.M, every, _with(missing, np.zeros((len(system.M), 0))), units)
+            rate = np.vstack([np.maximum(begins.rate, QUICKEST), np.maximum(later.rate, SUDDEN)])
             return _Fades(system, every, units, begins.first, rate, np.zeros(rows), 0.0)
         slowest = float(np.abs(np.linalg.eigvals(system.M)).max(initial=0.0))
         reads = slice(system.faults + system.sensors, len(system.C))
@@ -191,16 +235,38 @@ class _Fades:
             through = peak.sum(axis=1)
             gain = system.slope * float(np.linalg.norm(through[reads]))
             if gain < 1.0:
-                rates, nothing = np.full((2, rows), max(rate, QUICKEST)), np.zeros((2, rows))
+                rates, nothing = np.full((4, rows), max(rate, QUICKEST)), np.zeros((2, rows))
                 fades = _Fades(system, every, units, nothing, rates, through, system.slope / (1.0 - gain))
                 return replace(fades, start=fades.begin(box))
-        return _Fades(system, every, units, np.full((2, rows), math.inf), np.ones((2, rows)), np.zeros(rows), math.inf)
+        return _Fades(system, every, units, np.full((2, rows), math.inf), np.ones((4, rows)), np.zeros(rows), math.inf)
 
     def begin(self, box: Array) -> Array:
-        """From another box, with all of it in the slow part, (2, rows + nz)."""
+        """From another box, (2, rows + nz)."""
         if math.isinf(self.back):
             return self.start
-        return self.fed(fading(self.system.M, self.every, box, self.units, self.rate[1]).first)
+        return self.fed(fading(self.system.M, self.every, box, self.units, self.rate[:2]).first)
+
+    def come(self, absence: Absence) -> Array:
+        """What is added at the sample at which ζ is another, (2, rows + nz)."""
+        return self._after(absence, lambda first: first)
+
+    def follow(self, absence: Absence) -> Array:
+        """What is added at the sample before that, and lasts until then, (2, rows + nz)."""
+        at_once = np.zeros(len(self.units))
+        at_once[: len(absence.at_once)] = absence.at_once
+
+        def before(first: Array) -> Array:
+            earlier = first / self.rate[2:]
+            earlier[0] += np.maximum(at_once / self.units - earlier.sum(axis=0), 0.0)
+            return earlier
+
+        return self._after(absence, before)
+
+    def _after(self, absence: Absence, counted: Callable[[Array], Array]) -> Array:
+        if math.isinf(self.back) or not _known(absence.later):
+            return np.full(self.start.shape, math.inf)
+        box = _with(absence.later, np.zeros((len(self.system.M), 0)))
+        return self.fed(counted(fading(self.system.M, self.every, box, self.units, self.rate[2:]).first))
 
     def fed(self, first: Array) -> Array:
         """With what the nonlinearity makes of it; first (2, rows + nz)."""
@@ -210,20 +276,15 @@ class _Fades:
         size = self.back * float(np.linalg.norm((first * self.units).sum(axis=0)[reads]))
         return first + np.vstack([np.zeros(len(self.units)), self.through * size / self.units])
 
-    def after(self, absence: Absence) -> Array:
-        """What a sample without a channel adds to the slow part, (2, rows + nz)."""
-        if math.isinf(self.back) or not np.isfinite(absence.later).all():
-            return np.full(self.start.shape, math.inf)
-        box = _with(absence.later, np.zeros((len(self.system.M), 0)))
-        later = fading(self.system.M, self.every, box, self.units, self.rate[1]).first / self.rate[1]
-        at_once = np.zeros(len(self.units))
-        at_once[: len(absence.at_once)] = absence.at_once
-        return self.fed(np.maximum(later, at_once / self.units))
+    def outputs(self, table: Array) -> Array:
+        """The errors' columns, and as the last the largest of those of ζ and of what the nonlinearity reads."""
+        rows = self.system.faults + self.system.sensors
+        return np.column_stack([table[:, :rows], table[:, rows:].max(axis=1, initial=0.0)])
 
-    def outputs(self, table: Array, rows: int) -> Array:
-        """The first `rows` columns, and the largest of those of ζ as the last."""
-        state = table[:, len(self.system.C) :].max(axis=1, initial=0.0)
-        return np.column_stack([table[:, :rows], state])
+    def tables(self, each: list[Array]) -> Array:
+        """The same of several, (each, 2, ...)."""
+        rows = self.system.faults + self.system.sensors
+        return np.array([self.outputs(one) for one in each]).reshape(len(each), 2, rows + 1)
 
 
 def _sizes(system: ErrorSystem, allowance: Allowance) -> tuple[Array, Array]:
@@ -295,6 +356,20 @@ def _assumptions(
         said.append("the Lipschitz constant holds wherever state and estimate go")
     if undeclared:
         said.append(f"{', '.join(undeclared)} begin within {ANYWHERE:g} of the operating point (no range is declared)")
-    said.append("after rows or inputs are missing the error is no larger than that of an observer at rest")
+    for i, w in enumerate(plant.disturbances):
+        if is_noise(plant, i):
+            said.append(f"{w.name}, on one noisy sensor alone, is counted as its noise")
+    said.append("samples come at regular times, or a whole number of sample times apart")
     said.append("the plant is the model")
     return tuple(said)
+
+
+def _of_missing(skipped: Array, unfed: Array, lost: Array) -> tuple[str, ...]:
+    """What is accounted for where something is missing, and what must be true of the rest, in sentences."""
+    rows, inputs, sensors = (int(np.isfinite(each).all(axis=(1, 2)).sum()) for each in (skipped, unfed, lost))
+    parts = [f"gaps of up to {rows} row{'s' * (rows > 1)}"] if rows else []
+    parts += ["missing inputs"] if inputs and inputs == len(unfed) else []
+    parts += ["silent sensors"] if sensors and sensors == len(lost) else []
+    said = [f"{' and '.join(parts)} are accounted for where they do not meet each other"] if parts else []
+    what = "anything else is missing" if parts else "rows, inputs or sensors are missing"
+    return (*said, f"after {what} the error is no larger than that of an observer at rest")

@@ -2,7 +2,7 @@
 """The measurement a controller may read: corrected, held or refused, with a quality that says which.
 
 good        the sensor's own reading, and nothing speaks against it
-uncertain   its own reading, while it is one of several suspects
+uncertain   its own reading, while it is one of several suspects, stands still, or nothing can be told
 corrected   its reading minus the reconstructed fault
 predicted   it sent nothing; what the observer expects of it
 held        the last good value
@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from faultrecon.finding import InputError
-from faultrecon.runtime.decision import OUTSIDE, WARMING
+from faultrecon.runtime.decision import OUTSIDE, SUSPECT, WARMING
 from faultrecon.runtime.samples import Trace
 
 Array = NDArray[Any]
@@ -76,19 +76,22 @@ class Correction:
         named: Array,
         reached: Sequence[tuple[int, tuple[int, ...], tuple[int, ...]]],
         traces: Sequence[Trace],
+        doubt: NDArray[np.bool_] | None = None,
     ) -> tuple[Held, Array, Array]:
         """Values and qualities over N samples, (N, p) each.
 
         mode, named (N,): the decision.  reached: from which row on which sensors are at fault and which are suspected.
+        doubt (N, p): readings that something else speaks against.
         """
-        out, quality = y.copy(), np.full(y.shape, GOOD)
+        out, quality = y.copy(), np.full(y.shape, GOOD, dtype=np.int8)
         doubtful = (mode == OUTSIDE) | (mode == WARMING)
         quality[doubtful] = UNCERTAIN
         for (a, faulty, suspects), b in zip(reached, [*(r[0] for r in reached[1:]), len(t)], strict=True):
             if b <= a:
                 continue
             source = traces[max(int(named[a]), 0)]
-            quality[a:b, list(suspects)] = UNCERTAIN
+            nobody = mode[a] == SUSPECT and not suspects and not faulty
+            quality[a:b, slice(None) if nobody else list(suspects)] = UNCERTAIN
             absent = ~np.isfinite(y[a:b])
             out[a:b][absent] = source.corrected[a:b][absent]
             quality[a:b][absent] = PREDICTED
@@ -102,6 +105,8 @@ class Correction:
                     quality[a:b, i] = np.where(absent[:, i], PREDICTED, BAD)
                 else:
                     out[a:b, i], quality[a:b, i] = math.nan, BAD
+        if doubt is not None:
+            quality[doubt & (quality == GOOD)] = UNCERTAIN
         return self._held(before, t, out, quality)
 
     def _held(self, before: Held, t: Array, out: Array, quality: Array) -> tuple[Held, Array, Array]:

@@ -6,14 +6,16 @@ rejected when tests that its faults cannot excuse fail in as many.  By Markov's 
 more often than 2/window times the chance of one sample to lie outside, whatever the correlation between samples; so
 one wild sample never decides anything.
 
-- `fault(name)`: "all healthy" is contradicted, and of the hypotheses with the fewest faults this one alone is not
-  rejected, which has been so for `window` samples.
-- `suspect`: "all healthy" is contradicted, and several explain it, or none has for long enough.
-- `out_of_envelope`: for `patience` windows nothing has explained it: the plant is not the model, or bounds are broken.
-- `recovering`: no test has failed for a window since a fault was named; after two more windows it is over.
-- `warming`: no hypothesis has seen enough of the start to be tested.
+A hypothesis that is not rejected explains the samples, tested or not: silence and a start that is not over refute
+nothing.  Only one that has been tested for a window is named, so one that has just begun never looks best.
 
-A hypothesis that has just begun is not ready for a window, so it never looks best.
+- `fault(name)`: "all healthy" is contradicted, and of the hypotheses with the fewest faults this one alone is not
+  rejected, which has been so for `window` samples; and it has been tested for a window.
+- `suspect`: "all healthy" is contradicted, and several explain it, or one for not long enough, or none.
+- `out_of_envelope`: for `patience` windows nothing has explained it: the plant is not the model, or bounds are broken.
+- `recovering`: no test has failed for a window since a fault was named, and its sensor was heard; after two more
+  windows it is over.
+- `warming`: no hypothesis is tested: too much is left of the start or of a gap, or no sensor is heard.
 """
 
 from __future__ import annotations
@@ -58,42 +60,48 @@ class Rules:
 class Verdicts:
     """What the tests say over N samples.
 
-    contradicted, quiet (N, 1): "all healthy" does not hold; no test has failed for a window.  rejected, ready (N,
-    hypotheses): it does not explain the samples; it has been tested for a window.
+    contradicted, quiet (N, 1): "all healthy" does not hold; no test has failed for a window.  rejected, ready, heard
+    (N, hypotheses): it does not explain the samples; it has been tested for a window; the sensors it calls faulty were
+    heard in at least half of it.
     """
 
     contradicted: Array
     quiet: Array
     rejected: Array
     ready: Array
+    heard: Array
 
 
 @dataclass(frozen=True)
 class Counts:
-    """The last `window` - 1 samples as 0 and 1: a test failed (window - 1, 1), each hypothesis was out, was tested."""
+    """The last `window` - 1 samples as 0 and 1: a test failed (window - 1, 1), each hypothesis was out, was tested, its
+    sensors were heard.
+    """
 
     failed: Array
     outside: Array
     faded: Array
+    heard: Array
 
     @staticmethod
     def none(rules: Rules, hypotheses: int) -> Counts:
         """Before the first sample."""
         empty = np.zeros((rules.window - 1, hypotheses), dtype=np.int8)
-        return Counts(empty[:, :1], empty, empty)
+        return Counts(empty[:, :1], empty, empty, empty)
 
 
-def counted(rules: Rules, before: Counts, failed: Array, outside: Array, faded: Array) -> tuple[Counts, Verdicts]:
+def counted(rules: Rules, before: Counts, now: Counts) -> tuple[Counts, Verdicts]:
     """The verdicts over N samples, from 0 and 1 as in `Counts`, and what the next ones go on from."""
     W, sums, after = rules.window, [], []
-    for old, new in ((before.failed, failed), (before.outside, outside), (before.faded, faded)):
-        both = np.vstack([old, new.astype(np.int8)])
-        total = np.cumsum(both, axis=0, dtype=np.int64)
-        total = np.vstack([np.zeros((1, both.shape[1]), dtype=np.int64), total])
+    for name in ("failed", "outside", "faded", "heard"):
+        both = np.vstack([getattr(before, name), getattr(now, name).astype(np.int8)])
+        total = np.cumsum(both, axis=0, dtype=np.int32)
+        total = np.vstack([np.zeros((1, both.shape[1]), dtype=np.int32), total])
         sums.append(total[W:] - total[:-W])
         after.append(both[len(both) - (W - 1) :])
-    ready = sums[2] == W
-    return Counts(*after), Verdicts(sums[0] >= rules.enough, sums[0] == 0, (sums[1] >= rules.enough) & ready, ready)
+    failed, outside, faded, heard = sums
+    least = rules.enough
+    return Counts(*after), Verdicts(failed >= least, failed == 0, outside >= least, faded == W, heard >= least)
 
 
 @dataclass(frozen=True)
@@ -150,43 +158,48 @@ class Decider:
         return standing, changes
 
     def _at(
-        self, now: Standing, k: int, failing: Array, calm: Array, rejected: Array, ready: Array
+        self, now: Standing, k: int, failing: Array, calm: Array, rejected: Array, ready: Array, heard: Array
     ) -> tuple[Standing, int | None]:
         """The decision at sample k, and the sample at which to look again if nothing changes."""
-        W = self.rules.window
-        if not ready.any():
-            return replace(now, mode=WARMING if now.named == NOBODY else now.mode), None
         contradicted, quiet = bool(failing[0]), bool(calm[0])
-        found = self._explain(ready & ~rejected) if contradicted else ()
+        found = self._explain(~rejected) if contradicted else ()
         if found != now.candidates:
             now = replace(now, candidates=found, candidate_since=k)
-        sole = found[0] if len(found) == 1 else NOBODY
         if now.named != NOBODY and not rejected[now.named]:
-            return self._keep(now, k, quiet)
+            kept, due = self._keep(now, k, quiet and bool(heard[now.named]))
+            if kept.named != NOBODY:
+                return kept, due
+            now = kept
+        if not ready.any():
+            return replace(now, mode=WARMING, named=NOBODY, unexplained_since=-1, quiet_since=-1), None
         if not contradicted:
             return replace(now, mode=TRACKING, named=NOBODY, unexplained_since=-1, quiet_since=-1), None
-        if sole != NOBODY:
-            due = now.candidate_since + W
-            if k >= due:
-                return replace(now, mode=FAULT, named=sole, unexplained_since=-1, quiet_since=-1), None
-            return replace(now, mode=SUSPECT, unexplained_since=-1), due
         if found:
-            return replace(now, mode=SUSPECT, unexplained_since=-1), None
+            return self._suspect(now, k, ready)
         since = k if now.unexplained_since < 0 else now.unexplained_since
-        due = since + self.rules.patience * W
+        due = since + self.rules.patience * self.rules.window
         mode = OUTSIDE if k >= due else SUSPECT
-        named = NOBODY if mode == OUTSIDE else now.named
-        return replace(now, mode=mode, named=named, unexplained_since=since), None if k >= due else due
+        return replace(now, mode=mode, named=NOBODY, unexplained_since=since), None if k >= due else due
+
+    def _suspect(self, now: Standing, k: int, ready: Array) -> tuple[Standing, int | None]:
+        """Some hypotheses explain what the healthy plant does not: is it one alone, tested, and for long enough?"""
+        now, due = replace(now, unexplained_since=-1), now.candidate_since + self.rules.window
+        sole = now.candidates[0]
+        if len(now.candidates) > 1 or not ready[sole]:
+            return replace(now, mode=SUSPECT, named=NOBODY), None
+        if k >= due:
+            return replace(now, mode=FAULT, named=sole, quiet_since=-1), None
+        return replace(now, mode=SUSPECT, named=NOBODY), due
 
     def _keep(self, now: Standing, k: int, quiet: bool) -> tuple[Standing, int | None]:
-        """The named fault still explains everything: it acts, or it is about to be over."""
+        """The named fault still explains everything: it acts, is about to be over, or is over: then nobody is named."""
         now = replace(now, unexplained_since=-1)
         if not quiet:
             return replace(now, mode=FAULT, quiet_since=-1), None
         since = k if now.quiet_since < 0 else now.quiet_since
         due = since + 2 * self.rules.window
         if k >= due:
-            return replace(now, mode=TRACKING, named=NOBODY, quiet_since=-1), None
+            return replace(now, named=NOBODY, quiet_since=-1), None
         return replace(now, mode=RECOVERING, quiet_since=since), due
 
     def _explain(self, fits: Array) -> tuple[int, ...]:
@@ -199,4 +212,4 @@ class Decider:
 
 
 def _parts(verdicts: Verdicts) -> Sequence[Array]:
-    return verdicts.contradicted, verdicts.quiet, verdicts.rejected, verdicts.ready
+    return verdicts.contradicted, verdicts.quiet, verdicts.rejected, verdicts.ready, verdicts.heard

@@ -151,7 +151,7 @@ def _disturbances(o: Pair) -> Iterator[Column]:
     """
     _, on = disturbed(o.plant)
     for i, w in enumerate(o.plant.disturbances):
-        if _is_noise(o.plant, i):
+        if is_noise(o.plant, i):
             continue
         source = Source("noise" if w.role == "noise" else "disturbance", w.name, w.size)
         moved, shown = o.read @ o.goes.W[:, i], o.y1 @ on[:, i]
@@ -362,7 +362,7 @@ def _sizes(plant: Plant) -> Array:
     return np.array([*x, *(f.size for f in plant.faults)])
 
 
-def _is_noise(plant: Plant, i: int) -> bool:
+def is_noise(plant: Plant, i: int) -> bool:
     """Whether a disturbance is the noise of one sensor under another name, which is counted once."""
     into, on = (np.flatnonzero(part[:, i]) for part in disturbed(plant))
     return plant.noise is not None and len(on) == 1 and len(into) == 0 and plant.noise.sd[on[0]] > 0

@@ -17,14 +17,17 @@ from faultrecon.runtime.samples import Trace
 class Evidence:
     """One hypothesis over the window in which an event began.
 
-    rejected: samples in which its healthy sensors were outside their bounds.  margin: the farthest, in bounds; above 1
-    is outside.  acting: the largest its fault was, in bounds of what nothing could look like.
+    rejected: samples in which some test failed that its faults cannot excuse.  margin: the worst such test, in bounds;
+    above 1 is outside.  acting: the largest its fault was, in bounds of what nothing could look like.  nis: normalised
+    innovations squared, the mean over its healthy sensors of (residual / what noise makes of it)², some 1 by noise
+    alone; 0 where no noise is declared.
     """
 
     hypothesis: str
     rejected: int
     margin: float
     acting: float
+    nis: float
 
 
 @dataclass(frozen=True, slots=True)

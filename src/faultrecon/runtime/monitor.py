@@ -8,7 +8,7 @@ measurements with a quality.  All that it remembers is in a value: cut the sampl
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from faultrecon.finding import Finding, InputError
 from faultrecon.plant.plant import Plant
-from faultrecon.runtime.correction import QUALITIES, Correction, Held
+from faultrecon.runtime.correction import QUALITIES, Correction
 from faultrecon.runtime.decision import (
     MODES,
     NOBODY,
@@ -32,7 +32,8 @@ from faultrecon.runtime.decision import (
 )
 from faultrecon.runtime.events import Event, Evidence, Open, closed, opened
 from faultrecon.runtime.isolation import Isolation
-from faultrecon.runtime.samples import State, Trace, checked_log
+from faultrecon.runtime.monitorstate import KEPT, MonitorState
+from faultrecon.runtime.samples import Trace, checked_log
 from faultrecon.runtime.watch import Batch, Findings, Watch
 from faultrecon.storage.hashing import canonical_digest
 
@@ -40,7 +41,6 @@ Array = NDArray[Any]
 
 MODE_NAMES, QUALITY_NAMES = np.array(MODES), np.array(QUALITIES)
 BLOCK = 4096  # samples that are looked at together: some MB of tests
-LATE = 1.5  # sample times: a longer interval is one in which rows are missing
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,30 +63,15 @@ class Hypothesis:
 
 
 @dataclass(frozen=True, eq=False)
-class MonitorState:
-    """Between two samples; never changed.  events: those that are over, in order."""
-
-    t: float
-    samples: int
-    estimators: tuple[State, ...]
-    live: tuple[Array, ...]
-    recent: Array  # (window - 1, hypotheses, 2): how badly each fitted, and how large its fault was, in bounds
-    counts: Counts
-    standing: Standing
-    held: Held
-    open: Open | None
-    events: tuple[Event, ...]
-
-
-@dataclass(frozen=True, eq=False)
 class _Looked:
-    """What all hypotheses say about some samples; misfit, own, faded (N, hypotheses), failed (N, 1)."""
+    """What all hypotheses say about some samples; misfit, own, nis, faded (N, hypotheses), failed (N, 1)."""
 
     traces: list[Trace]
     live: tuple[Array, ...]
     failed: Array
     misfit: Array
     own: Array
+    nis: Array
     faded: Array
     bounds: list[Array]
 
@@ -141,23 +126,16 @@ class Monitor:
 
     def start(self) -> MonitorState:
         """Before the first sample."""
-        count = len(self.hypotheses)
-        return MonitorState(
-            np.nan,
-            0,
-            tuple(h.watch.estimator.init() for h in self.hypotheses),
-            tuple(h.watch.init() for h in self.hypotheses),
-            np.zeros((self.rules.window - 1, count, 2)),
-            Counts.none(self.rules, count),
-            Standing(),
-            Held.nothing(self.plant.p),
-            None,
-            (),
-        )
+        hypotheses = self.hypotheses
+        estimators = tuple(h.watch.estimator.init() for h in hypotheses)
+        return MonitorState.begin(self.rules, self.plant.p, estimators, tuple(h.watch.init() for h in hypotheses))
 
-    def take(self, state: MonitorState, t: Array, u: Array, y: Array) -> tuple[MonitorState, dict[str, Array]]:
+    def take(
+        self, state: MonitorState, t: Array, u: Array, y: Array, doubt: NDArray[np.bool_] | None = None
+    ) -> tuple[MonitorState, dict[str, Array]]:
         """Samples t (N,), u (N, m), y (N, p), absolute, time increasing; one row out for each.
 
+        doubt (N, p): readings that something else than a test speaks against, such as that they stand still.
         Raises InputError on shapes and times that do not fit; the state before is then as good as ever.
         """
         t, u, y = checked_log(t, u, y, self.plant.B.shape[1], self.plant.p)
@@ -166,23 +144,31 @@ class Monitor:
         rows = self._room(len(t))
         for k in range(0, max(len(t), 1), BLOCK):
             here = slice(k, k + BLOCK)
-            state = self._block(state, t[here], u[here], y[here], {name: column[here] for name, column in rows.items()})
+            into = {name: column[here] for name, column in rows.items()}
+            doubted = None if doubt is None else doubt[here]
+            state = self._block(state, t[here], u[here], y[here], doubted, into)
         return state, rows
 
     def _block(
-        self, state: MonitorState, t: Array, u: Array, y: Array, into: Mapping[str, NDArray[Any]]
+        self,
+        state: MonitorState,
+        t: Array,
+        u: Array,
+        y: Array,
+        doubt: NDArray[np.bool_] | None,
+        into: Mapping[str, NDArray[Any]],
     ) -> MonitorState:
         """The same for a number of samples that fits the processor's cache; the rows are written into `into`."""
         waits = np.diff(t, prepend=state.t if state.samples else np.array([*t[:1], 0.0])[0] - self.sample_time)
-        gap = (waits > LATE * self.sample_time).astype(float)
-        looked = self._look(state, t, u, y, gap)
-        counts, verdicts = counted(self.rules, state.counts, looked.failed, looked.misfit > 1.0, looked.faded > 0.0)
+        looked = self._look(state, t, u, y, waits / self.sample_time)
+        now = Counts(looked.failed, looked.misfit > 1.0, looked.faded > 0.0, self._heard(y))
+        counts, verdicts = counted(self.rules, state.counts, now)
         standing, changes = self._decider.decide(state.standing, verdicts)
         mode, named = _spread(state.standing, changes, len(t))
         reach = _reach(state.standing, changes, self.hypotheses)
-        held, corrected, quality = self.correction.apply(state.held, t, y, mode, named, reach, looked.traces)
-        recent = np.concatenate([state.recent, np.stack([looked.misfit, looked.own], axis=2)])
-        events, now_open = self._events(state, t, changes, recent, looked.traces)
+        held, corrected, quality = self.correction.apply(state.held, t, y, mode, named, reach, looked.traces, doubt)
+        recent = np.concatenate([state.recent, np.stack([looked.misfit, looked.own, looked.nis], axis=2)])
+        over, now_open = self._events(state, t, changes, recent, looked.traces)
         shown = mode.copy()
         shown[waits > self.stale] = STALE
         shown[~np.isfinite(y).any(axis=1)] = UNOBSERVED
@@ -196,7 +182,8 @@ class Monitor:
             standing,
             held,
             now_open,
-            events,
+            (*state.events, *over)[-KEPT:],
+            state.over + len(over),
         )
         self._write(into, t, shown, named, looked, corrected, quality)
         return after
@@ -206,16 +193,19 @@ class Monitor:
         return self._room(0)
 
     def events(self, state: MonitorState) -> tuple[Event, ...]:
-        """What has happened, what is still going on included."""
+        """What has happened, what is still going on included; of what is over, the last `KEPT`."""
         return state.events if state.open is None else (*state.events, closed(state.open, None))
 
     @cached_property
     def _decider(self) -> Decider:
         return Decider(self.rules, tuple(len(h.faults) for h in self.hypotheses))
 
-    def _look(self, state: MonitorState, t: Array, u: Array, y: Array, gap: Array) -> _Looked:
-        """Every hypothesis over the samples: estimates, tests, and what is left of each explanation."""
-        batch = Batch.of(u, y, gap)
+    def _look(self, state: MonitorState, t: Array, u: Array, y: Array, waits: Array) -> _Looked:
+        """Every hypothesis over the samples: estimates, tests, and what is left of each explanation.
+
+        waits (N,): sample times since the one before.
+        """
+        batch = Batch.of(u, y, waits)
         found, parts = Findings.room(len(t), [h.watch for h in self.hypotheses])
         traces, live = [], []
         for h, before, alive, part in zip(self.hypotheses, state.estimators, state.live, parts, strict=True):
@@ -230,7 +220,16 @@ class Monitor:
             traces.append(trace)
         misfit, failed = self.isolation.ask(found)
         bounds = [part.bound for part in parts]
-        return _Looked(traces, tuple(live), failed, misfit, found.own, found.faded, bounds)
+        return _Looked(traces, tuple(live), failed, misfit, found.own, found.nis, found.faded, bounds)
+
+    def _heard(self, y: Array) -> NDArray[np.bool_]:
+        """Where the sensors that each hypothesis calls faulty say something, (N, hypotheses)."""
+        there = np.isfinite(y)
+        heard = np.ones((len(y), len(self.hypotheses)), dtype=bool)
+        if not there.all():
+            for i, h in enumerate(self.hypotheses):
+                heard[:, i] = there[:, list(h.reached)].all(axis=1)
+        return heard
 
     def _events(
         self,
@@ -239,9 +238,9 @@ class Monitor:
         changes: Sequence[Change],
         recent: Array,
         traces: Sequence[Trace],
-    ) -> tuple[tuple[Event, ...], Open | None]:
+    ) -> tuple[list[Event], Open | None]:
         """Events that end within these samples, and the one that is going on after them."""
-        done, going = list(state.events), state.open
+        done, going = [], state.open
         row = 0
         for change in [*changes, None]:
             stop = len(t) if change is None else change.row
@@ -258,7 +257,7 @@ class Monitor:
                 going = opened(change.after, float(t[change.row]), frame, self._faults_of(change.after))
             else:
                 going = going.narrowed(change.after, frame)
-        return tuple(done), going
+        return done, going
 
     def _faults_of(self, now: Standing) -> tuple[str, ...]:
         return () if now.named == NOBODY else self.hypotheses[now.named].faults
@@ -271,7 +270,13 @@ class Monitor:
         """The last window up to a row, by hypothesis."""
         window = recent[row : row + self.rules.window]
         return tuple(
-            Evidence(name, int(np.sum(window[:, i, 0] > 1)), float(window[:, i, 0].max()), float(window[:, i, 1].max()))
+            Evidence(
+                name,
+                int(np.sum(window[:, i, 0] > 1)),
+                float(window[:, i, 0].max()),
+                float(window[:, i, 1].max()),
+                float(window[:, i, 2].mean()),
+            )
             for i, name in enumerate(self._names)
         )
 
@@ -310,42 +315,11 @@ class Monitor:
 
     def pack(self, state: MonitorState) -> dict[str, Any]:
         """The state as plain values and arrays, for a checkpoint."""
-        return {
-            "t": state.t,
-            "samples": state.samples,
-            "estimators": [one._row.copy() for one in state.estimators],
-            "live": [one.copy() for one in state.live],
-            "recent": state.recent.copy(),
-            "counts": {name: getattr(state.counts, name).astype(float) for name in ("failed", "outside", "faded")},
-            "standing": {**vars(state.standing), "candidates": list(state.standing.candidates)},
-            "held": state.held.pack(),
-            "open": None if state.open is None else state.open.pack(),
-            "events": [event.as_dict() for event in state.events],
-        }
+        return state.pack()
 
     def unpack(self, packed: Mapping[str, Any]) -> MonitorState:
         """The state that was packed, every bit of it.  Raises InputError on one of another monitor."""
-        try:
-            rows = [np.array(row, dtype=float) for row in packed["estimators"]]
-            layouts = [h.watch.estimator._layout for h in self.hypotheses]
-            if [len(r) for r in rows] != [lay.width for lay in layouts]:
-                raise InputError("the stored state belongs to another monitor")
-            standing = dict(packed["standing"])
-            standing["candidates"] = tuple(int(c) for c in standing["candidates"])
-            return MonitorState(
-                float(packed["t"]),
-                int(packed["samples"]),
-                tuple(State(r, lay) for r, lay in zip(rows, layouts, strict=True)),
-                tuple(np.array(one, dtype=float) for one in packed["live"]),
-                np.array(packed["recent"], dtype=float),
-                Counts(**{name: np.array(v).astype(np.int8) for name, v in packed["counts"].items()}),
-                Standing(**standing),
-                Held.unpack(packed["held"]),
-                None if packed["open"] is None else Open.unpack(packed["open"]),
-                tuple(Event.from_dict(one) for one in packed["events"]),
-            )
-        except (KeyError, TypeError, ValueError, AttributeError) as error:
-            raise InputError("the stored state is none of a monitor", why=str(error)) from error
+        return MonitorState.unpack(packed, [h.watch.estimator._layout for h in self.hypotheses])
 
 
 def _spread(before: Standing, changes: Sequence[Change], rows: int) -> tuple[Array, Array]:
@@ -368,8 +342,3 @@ def _reach(
         return faulty, tuple(sorted(doubted))
 
     return [(0, *sensors(before)), *((c.row, *sensors(c.after)) for c in changes)]
-
-
-def without(state: MonitorState) -> MonitorState:
-    """The same state with the events that are over left out, for those who keep them elsewhere."""
-    return replace(state, events=())

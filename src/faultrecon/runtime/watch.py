@@ -23,53 +23,76 @@ from faultrecon.plant.plant import Plant
 from faultrecon.runtime.bounds import Bounds
 from faultrecon.runtime.estimator import Estimator
 from faultrecon.runtime.samples import Trace, columns
-from faultrecon.runtime.watchloop import CONSTANTS, FAR, LOOP, forgiving, pass_over
+from faultrecon.runtime.watchloop import CONSTANTS, LOOP, pass_over, rows_of
+from faultrecon.runtime.watchrest import FAR, forgiving
 
 Array = NDArray[Any]
 
 SIGNATURE = ", ".join(
     [
-        *("block", "block", "block", "block", "table", "vector", "table"),
-        *("vector", "vector", "vector", "vector", "vector", "table", "table", "table"),
-        *("into", "into", "into", "into", "into", "into", "into"),
+        *(
+            "block",
+            "block",
+            "block",
+            "block",
+            "block",
+            "table",
+            "vector",
+            "vector",
+            "table",
+            "vector",
+            "vector",
+            "vector",
+        ),
+        *("table", "table", "table", "table", "table", "into", "into", "into", "into", "into", "into", "into", "into"),
     ]
 )
+REGULAR = 0.1  # sample times: by how much an interval may differ from a whole number of them, and count as such
+LATE = 1.5  # sample times: a longer interval is one in which rows are missing
 
 
 @dataclass(frozen=True, eq=False)
 class Batch:
     """N samples as every watch reads them: u (m, N), y (p, N), signal by signal.
 
-    gap (N,): 1 where rows are missing before the sample.  whole (N,): 1 where neither u nor y lacks anything.
+    pace (3, N): how many rows are missing before each, infinite where that is no whole number; how many sample times
+    after the one before it came, at most 1; and 1 where neither u nor y lacks anything.
     """
 
     u: Array
     y: Array
-    gap: Array
-    whole: Array
+    pace: Array
 
     @staticmethod
-    def of(u: Array, y: Array, gap: Array) -> Batch:
-        """From samples u (N, m), y (N, p), and gap (N,) of anything that is true or false."""
+    def of(u: Array, y: Array, waits: Array) -> Batch:
+        """From samples u (N, m), y (N, p), and how many sample times after the one before it each came, (N,)."""
         with np.errstate(invalid="ignore"):  # nothing times infinity is not a number, which is what is asked
             sums = u @ np.zeros(u.shape[1]) + y @ np.zeros(y.shape[1])
-        whole = (sums == 0.0).astype(float)
-        return Batch(np.ascontiguousarray(u.T), np.ascontiguousarray(y.T), gap.astype(float), whole)
+        pace = np.zeros((3, len(waits)))
+        late = waits > LATE
+        if late.any():
+            rows = np.round(waits[late])
+            pace[0, late] = np.where(np.abs(waits[late] - rows) <= REGULAR, rows - 1.0, np.inf)
+        pace[1] = np.where(waits < 1.0 - REGULAR, waits, 1.0)
+        pace[2] = sums == 0.0
+        return Batch(np.ascontiguousarray(u.T), np.ascontiguousarray(y.T), pace)
 
 
 @dataclass(frozen=True, eq=False)
 class Findings:
     """What watches found over N samples.
 
-    peak, own (N, watches): the largest of all tests, and of those on its own faults, in bounds.  faded (N, watches): 1
-    where nothing is left untested.  bound, amplitude (N, faults): how far each estimate may be off, and how large the
-    fault has been at most, what is past counting for less and less.
+    peak, own (N, watches): the largest of all tests, and of those on its own faults, in bounds.  nis (N, watches): the
+    mean of (residual / what noise makes of it)².  faded (N, watches): 1 where nothing is left untested.  bound,
+    amplitude (N, faults): how far each estimate may be off, and how large the fault has been at most, what is past
+    counting for less and less.
     shares (N, tests): how much of its bound each test uses up, scale by scale, 0 where nothing can be said.  Of a watch
     whose peak is not above 1 they are not written.
     """
 
     peak: Array
     own: Array
+    nis: Array
     faded: Array
     bound: Array
     amplitude: Array
@@ -80,16 +103,16 @@ class Findings:
         """Room for those of several watches, and the parts that each of them writes."""
         faults = np.cumsum([0, *(w.bounds.faults for w in watches)])
         tests = np.cumsum([0, *(w.tests for w in watches)])
-        sizes = [len(watches)] * 3 + [int(faults[-1])] * 2
+        sizes = [len(watches)] * 4 + [int(faults[-1])] * 2
         every = Findings(*(columns(rows, size) for size in sizes), np.empty((rows, int(tests[-1]))))
         parts = []
         for g in range(len(watches)):
             one, f, s = slice(g, g + 1), slice(faults[g], faults[g + 1]), slice(tests[g], tests[g + 1])
-            parts.append(every._part([one, one, one, f, f, s]))
+            parts.append(every._part([one, one, one, one, f, f, s]))
         return every, parts
 
     def _part(self, places: Sequence[slice]) -> Findings:
-        every = self.peak, self.own, self.faded, self.bound, self.amplitude, self.shares
+        every = self.peak, self.own, self.nis, self.faded, self.bound, self.amplitude, self.shares
         return Findings(*(table[:, here] for table, here in zip(every, places, strict=True)))
 
 
@@ -98,9 +121,7 @@ class Watch:
     """The tests of an estimator with its bounds on its plant; (scales, q + p) of them.
 
     memory: how much of the size of a past fault counts a sample later.
-    poles: of the low-pass filters, the first 0.  `init` is the state before the first sample, (2 scales + 3, q + p +
-    1): what the filters hold, how far they may be off, what is left of the start, its quick and its slow part, and
-    how large the faults have been.  The last column is for the ζ of the bounds.
+    poles: of the low-pass filters, the first 0.  `init` is the state before the first sample, as `watchloop` keeps it.
     """
 
     plant: Plant
@@ -113,9 +134,9 @@ class Watch:
     def init(self, blind: bool = False) -> Array:
         """Before the first sample; blind: that one lacks something, so that the estimator begins at rest."""
         scales = len(self.poles)
-        live = np.zeros((2 * scales + 3, self.bounds.faults + self.plant.p + 1))
+        live = np.zeros((rows_of(scales), self.bounds.faults + self.plant.p + 1))
         begins = self.bounds.blind if blind else self.bounds.start
-        live[2 * scales : 2 * scales + 2] = begins / self.bounds.rate  # the first sample is one step on from there
+        live[4 * scales : 4 * scales + 4] = begins / self.bounds.rate  # the first sample is one step on from there
         return live
 
     @property
@@ -138,6 +159,21 @@ class Watch:
         return np.array(point.y) - plant.C @ np.array(point.x) - plant.D @ np.array(point.u)
 
     @cached_property
+    def _weights(self) -> Array:
+        """By sensor, what its residual is multiplied with before it is squared for the NIS."""
+        q = self.bounds.faults
+        noise = np.where(np.isfinite(self.limits[0, q:]), self.bounds.random[0, q:], 0.0)
+        known = noise > 0.0
+        weights = np.divide(1.0, noise, out=np.zeros_like(noise), where=known)
+        return weights / np.sqrt(max(int(known.sum()), 1))
+
+    @cached_property
+    def _absences(self) -> tuple[Array, Array, Array]:
+        """What silent sensors, missing rows and missing inputs add, quick and slow in turn, (2 k, q + p + 1) each."""
+        b, width = self.bounds, self.bounds.rate.shape[1]
+        return b.lost.reshape(-1, width), b.skipped.reshape(-1, width), b.unfed.reshape(-1, width)
+
+    @cached_property
     def limits(self) -> Array:
         """What each test allows, (scales, q + p); inf where nothing is tested: sensors that the faults reach."""
         limits = forgiving(self.bounds.steady)
@@ -148,13 +184,20 @@ class Watch:
     def look(self, live: Array, batch: Batch, trace: Trace, into: Findings) -> Array:
         """The tests over N samples, written into `into`, and the state after them."""
         b, live = self.bounds, live.copy()
-        bound = forgiving(b.steady)[0, : b.faults]
         loop = _compiled() if self.compiled else pass_over
         loop(
-            *(batch.y, batch.u, np.ascontiguousarray(trace.state.T), np.ascontiguousarray(trace.fault.T)),
-            *(self._reads, self._offsets, np.minimum(self.limits, FAR), np.array([*self.poles, self.memory]), bound),
-            *(batch.gap, batch.whole, b.diverges, b.rate, b.anew, b.lost, live),
-            *(into.shares, into.peak, into.own, into.faded, into.bound, into.amplitude),
+            *(batch.y, batch.u, np.ascontiguousarray(trace.state.T), np.ascontiguousarray(trace.fault.T), batch.pace),
+            *(self._reads, self._offsets, self._weights, np.minimum(self.limits, FAR)),
+            np.array([*self.poles, self.memory]),
+            *(
+                forgiving(b.steady)[0, : b.faults],
+                np.append(b.diverges, b.scales),
+                b.rate,
+                b.anew,
+                *self._absences,
+                live,
+            ),
+            *(into.shares, into.peak, into.own, into.nis, into.faded, into.bound, into.amplitude),
         )
         return live
 

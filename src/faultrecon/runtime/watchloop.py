@@ -1,12 +1,14 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """The loop of a watch over its samples: plain Python that is also compiled as it stands; both give the same bits.
 
-`live` (2 scales + 3, errors + 1) is what a watch remembers, row by row: what each filter holds of each error; how far
-it may be off because of the start, in bounds; what is left of the start, its quick and its slow part; how large the
-faults have been.  The last column is for the ζ of the bounds.
+`live` (4 scales + 5, errors + 1) is what a watch remembers, row by row, a column for each error and the last for the ζ
+of the bounds: what each filter holds of each error; how far that may be off for what was not known, in bounds; what was
+cut off above and below before it was filtered; what is left of the start and of absences, a quick and a slow part of
+each, in bounds; how large the faults have been, and what the last sample lacked.
 
-What is left of a start is forgotten once a share of GONE for each step is left: all that was ever forgotten of it never
-counts for more than GONE, and `forgiving` says by how much the limits have to be wider for it.
+An error is cut off where it goes beyond CUT bounds, so that one wild sample does not fill a filter.  What the filter
+would have held without that is its content plus what was cut off above less what was cut off below, so neither the
+content less the latter nor the negative of the content less the former can lie above what is allowed.
 
 Complete samples take short ways, on which every step is the same for all errors side by side: that is what processors
 are quick at.  All others take the long way, which knows every case.
@@ -20,12 +22,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from faultrecon.runtime.watchrest import FAR, GONE, add, begin_anew, fade, fall_silent, miss, rest_of
+
 Array = NDArray[Any]
 
 SETTLED = 1.0  # bounds: an error of whose start more is left is not tested; less widens the tests by as much
 CUT = 10.0  # bounds: where a residual is cut off before it is averaged
-FAR = 1e30  # bounds: where counting ends
-GONE = 1e-4  # bounds: what may be forgotten in all of what is left of a start; the limits make up for it
 TILE = 128  # samples whose errors are computed together
 NOTHING, LITTLE, MUCH = 0, 1, 2  # what is left of the start
 
@@ -33,9 +35,9 @@ CONSTANTS = {"SETTLED": SETTLED, "CUT": CUT, "FAR": FAR, "GONE": GONE, "TILE": T
 CONSTANTS |= {"NOTHING": NOTHING, "LITTLE": LITTLE, "MUCH": MUCH}
 
 
-def forgiving(steady: Array) -> Array:
-    """Limits (scales, errors) with room for what is forgotten: of both parts of the start, and in a filter."""
-    return np.asarray(steady + 3.0 * GONE * steady[0])
+def rows_of(scales: int) -> int:
+    """How many rows `live` has."""
+    return 4 * scales + 5
 
 
 def pass_over(
@@ -43,30 +45,36 @@ def pass_over(
     u: Array,
     state: Array,
     fault: Array,
+    pace: Array,
     reads: Array,
     offsets: Array,
+    weights: Array,
     limits: Array,
     poles: Array,
     bound: Array,
-    gap: Array,
-    whole: Array,
     diverges: Array,
     rate: Array,
     anew: Array,
     lost: Array,
+    skipped: Array,
+    unfed: Array,
     live: Array,
     shares: Array,
     peak: Array,
     own: Array,
+    nis: Array,
     faded: Array,
     off: Array,
     size: Array,
 ) -> int:
-    """One pass over the samples; the last seven are written: `live`, and what `Findings` says of one watch.
+    """One pass over the samples; the last eight are written: `live`, and what `Findings` says of one watch.
 
-    y (p, N), u (m, N), state (n, N), fault (q, N).  offsets (p,) and reads (k, 3): what sensor i shows is expected to be
-    offsets[i] and, by the rows [i, j, c] in order of i, c times what [x; u] has at j.  limits (scales, errors): FAR
-    where nothing is tested.
+    y (p, N), u (m, N), state (n, N), fault (q, N), pace (3, N): rows missing before the sample, sample times since the
+    one before, at most 1, and 1 where it lacks nothing.  offsets (p,) and reads (k, 3): what sensor i shows is expected
+    to be offsets[i] and, by the rows [i, j, c] in order of i, c times what [x; u] has at j.  limits (scales, errors):
+    FAR where nothing is tested.  diverges (p + 2,): 1 for each sensor without which the error grows, for several, and
+    where gaps count times what is left in ζ.  rate, anew (4, errors + 1); lost, skipped, unfed (2 k, errors + 1): what
+    a silent sensor, so many missing rows, a missing input add, quick and slow.
     """
     rows, scales, errors, q = y.shape[1], limits.shape[0], limits.shape[1], fault.shape[0]
     held, one, values = np.empty(live.shape), np.empty(TILE), np.empty((TILE, errors))
@@ -79,21 +87,21 @@ def pass_over(
     owing = owes(held, limits)
     for begin in range(0, rows, TILE):
         end = min(begin + TILE, rows)
-        find_errors(y, u, state, fault, reads, offsets, limits, begin, end - begin, one, values)
+        find_errors(y, u, state, fault, reads, offsets, weights, limits, begin, end - begin, one, values, nis)
         for k in range(begin, end):
-            value, complete = values[k - begin], whole[k] == 1.0 and gap[k] == 0.0
-            for j in range(q):
-                complete = complete and math.isfinite(fault[j, k])
+            value = values[k - begin]
+            plain = pace[2, k] == 1.0 and pace[1, k] == 1.0 and pace[0, k] == 0.0 and within(value, cut)
             faded[k, 0] = 1.0
-            if complete and owing == NOTHING:
-                settled_way(held, value, poles, cut, inverse, top)
-            elif complete and owing == LITTLE:
-                fading_way(held, value, poles, cut, limits, rate, top)
+            if plain and owing == NOTHING:
+                settled_way(held, value, poles, inverse, top)
+            elif plain and owing == LITTLE:
+                fading_way(held, value, poles, limits, rate, top)
                 owing = owes(held, limits)
             else:
-                fade(held, 2 * scales, u[:, k], gap[k], rate, anew)
-                fall_silent(held, 2 * scales, y[:, k], diverges, anew, lost)
-                faded[k, 0] = long_way(held, value, poles, cut, inverse, limits, top)
+                fade(held, scales, pace[1, k], rate)
+                if pace[2, k] != 1.0 or pace[0, k] != 0.0 or held[4 * scales + 4, errors] != 0.0:
+                    miss(held, scales, y[:, k], u[:, k], pace[0, k], diverges, anew, lost, skipped, unfed)
+                faded[k, 0] = long_way(held, value, pace[0, k], pace[1, k], poles, cut, limits, q, top)
                 owing = owes(held, limits)
             largest = 0.0
             for e in range(errors):
@@ -102,8 +110,8 @@ def pass_over(
                 largest = top[e] if top[e] > largest else largest
             peak[k, 0] = largest
             if largest > 1.0:
-                tell_shares(held, inverse, limits, top, shares[k])
-            remember(held, fault, k, bound, poles, off, size)
+                tell_shares(held, limits, top, shares[k])
+            remember(held, fault, k, pace[1, k], bound, poles, off, size)
     live[:] = held
     return 0
 
@@ -115,14 +123,18 @@ def find_errors(
     fault: Array,
     reads: Array,
     offsets: Array,
+    weights: Array,
     limits: Array,
     begin: int,
     rows: int,
     one: Array,
     values: Array,
+    nis: Array,
 ) -> None:
     """The faults, and what each tested sensor shows beyond what the estimate expects; one (TILE,) to work on."""
     n, q, r = state.shape[0], fault.shape[0], 0
+    for k in range(rows):
+        nis[begin + k, 0] = 0.0
     for j in range(q):
         for k in range(rows):
             values[k, j] = fault[j, begin + k]
@@ -140,29 +152,41 @@ def find_errors(
             r += 1
         for k in range(rows):
             values[k, q + i] = one[k]
+            noise = one[k] * weights[i]
+            nis[begin + k, 0] += noise * noise if abs(noise) < FAR else 0.0
+
+
+def within(value: Array, cut: Array) -> bool:
+    """Whether every error is a number that need not be cut off."""
+    count = 0
+    for e in range(value.shape[0]):
+        count += 1 if abs(value[e]) <= cut[e] else 0
+    return count == value.shape[0]
 
 
 def owes(live: Array, limits: Array) -> int:
-    """How much is left of the start: nothing, little, so that all that can be tested is, or much."""
-    scales, owed, most = limits.shape[0], 0.0, 0.0
+    """How much is left to be accounted for: nothing, little, so that every test is made as usual, or much."""
+    scales, errors = limits.shape[0], limits.shape[1]
+    owed, cut, most = 0.0, 0.0, 0.0
     for e in range(live.shape[1]):
-        rest = live[2 * scales, e] + live[2 * scales + 1, e]
-        if e < limits.shape[1] and limits[0, e] < FAR:
+        rest = 0.0
+        for part in range(4 * scales, 4 * scales + 4):
+            rest += live[part, e]
+        if e < errors and limits[0, e] < FAR:
             most = rest if rest > most else most
         owed += rest
-        for s in range(scales, 2 * scales):
-            owed += live[s, e]
-    if most > SETTLED:
+        for s in range(scales):
+            owed += live[scales + s, e]
+            cut += live[2 * scales + s, e] + live[3 * scales + s, e]
+    if most > SETTLED or cut > 0.0 or live[4 * scales + 4, errors] != 0.0:
         return MUCH
     return LITTLE if owed > 0.0 else NOTHING
 
 
-def settled_way(live: Array, value: Array, poles: Array, cut: Array, inverse: Array, top: Array) -> None:
-    """The errors of a complete sample into their filters; top (errors,): the largest share of each, in bounds."""
+def settled_way(live: Array, value: Array, poles: Array, inverse: Array, top: Array) -> None:
+    """The errors of a plain sample into their filters; top (errors,): the largest share of each, in bounds."""
     for e in range(value.shape[0]):
         top[e] = 0.0
-        value[e] = value[e] if value[e] < cut[e] else cut[e]
-        value[e] = value[e] if value[e] > -cut[e] else -cut[e]
     for s in range(inverse.shape[0]):
         keeps, takes = poles[s], 1.0 - poles[s]
         for e in range(value.shape[0]):
@@ -171,121 +195,113 @@ def settled_way(live: Array, value: Array, poles: Array, cut: Array, inverse: Ar
             top[e] = share if share > top[e] else top[e]
 
 
-def fading_way(live: Array, value: Array, poles: Array, cut: Array, limits: Array, rate: Array, top: Array) -> None:
+def fading_way(live: Array, value: Array, poles: Array, limits: Array, rate: Array, top: Array) -> None:
     """The same while a little of the start is left of every error."""
     scales = limits.shape[0]
-    for part in range(2):
+    for part in range(4):
         for e in range(live.shape[1]):
-            rest = live[2 * scales + part, e] * rate[part, e]
-            live[2 * scales + part, e] = rest if rest > GONE * (1.0 - rate[part, e]) else 0.0
+            rest = live[4 * scales + part, e] * rate[part, e]
+            live[4 * scales + part, e] = rest if rest > GONE * (1.0 - rate[part, e]) else 0.0
     for e in range(value.shape[0]):
         top[e] = 0.0
-        most = cut[e] * (1.0 + (live[2 * scales, e] + live[2 * scales + 1, e]))
-        value[e] = value[e] if value[e] < most else most
-        value[e] = value[e] if value[e] > -most else -most
     for s in range(scales):
         keeps, takes = poles[s], 1.0 - poles[s]
         for e in range(value.shape[0]):
+            rest = live[4 * scales, e] + live[4 * scales + 1, e] + live[4 * scales + 2, e] + live[4 * scales + 3, e]
             live[s, e] = keeps * live[s, e] + takes * value[e]
-            owed = keeps * live[scales + s, e] + takes * (live[2 * scales, e] + live[2 * scales + 1, e])
+            owed = keeps * live[scales + s, e] + takes * rest
             live[scales + s, e] = owed if owed > GONE * takes else 0.0
             share = abs(live[s, e]) / (limits[s, e] + limits[0, e] * live[scales + s, e])
             top[e] = share if share > top[e] else top[e]
 
 
-def long_way(live: Array, value: Array, poles: Array, cut: Array, inverse: Array, limits: Array, top: Array) -> float:
-    """The same for any sample, with what is owed to the start beside it; 1 where nothing is left untested."""
-    scales, faded = inverse.shape[0], 1.0
+def long_way(
+    live: Array,
+    value: Array,
+    gap: float,
+    elapsed: float,
+    poles: Array,
+    cut: Array,
+    limits: Array,
+    q: int,
+    top: Array,
+) -> float:
+    """The same for any sample; 1 where nothing is left untested and some sensor is heard, of those that are tested."""
+    scales, settled, tested, heard = limits.shape[0], 1.0, 0, 0
     for e in range(value.shape[0]):
         top[e] = 0.0
         if limits[0, e] >= FAR:
             continue
-        rest = live[2 * scales, e] + live[2 * scales + 1, e]
+        tested += 1 if e >= q else 0
+        rest = rest_of(live, scales, e)
         if rest > SETTLED:
-            faded = 0.0
+            settled = 0.0
             for s in range(scales):  # a filter that begins late may be off by all that it would have held
                 live[s, e], live[scales + s, e] = 0.0, limits[s, e] / limits[0, e]
+                live[2 * scales + s, e], live[3 * scales + s, e] = 0.0, 0.0
             continue
+        for _ in range(int(min(gap, 1000.0))):
+            wait(live, e, rest, 1.0, poles)
         if not math.isfinite(value[e]):
-            wait(live, e, rest, poles)
+            wait(live, e, rest, elapsed, poles)
             continue
+        heard += 1 if e >= q else 0
         most = cut[e] * (1.0 + rest)
-        taken = min(max(value[e], -most), most)
+        over, under = max(value[e] - most, 0.0), max(-most - value[e], 0.0)
         for s in range(scales):
-            live[s, e] = poles[s] * live[s, e] + (1.0 - poles[s]) * taken
-            more = poles[s] * live[scales + s, e] + (1.0 - poles[s]) * rest
-            live[scales + s, e] = more if more > GONE * (1.0 - poles[s]) else 0.0
-            top[e] = max(top[e], share_of(live, s, e, inverse, limits))
-    return faded
+            takes = 1.0 if poles[s] == 0.0 else elapsed * (1.0 - poles[s])
+            keeps = 1.0 - takes
+            if poles[s] == 0.0:  # one sample says one thing
+                live[s, e] = value[e]
+            else:
+                live[s, e] = keeps * live[s, e] + takes * min(max(value[e], -most), most)
+                least = GONE * takes * limits[0, e]
+                more = keeps * live[2 * scales + s, e] + takes * over
+                live[2 * scales + s, e] = more if more > least else 0.0
+                more = keeps * live[3 * scales + s, e] + takes * under
+                live[3 * scales + s, e] = more if more > least else 0.0
+            more = keeps * live[scales + s, e] + takes * rest
+            live[scales + s, e] = more if more > GONE * takes else 0.0
+            top[e] = max(top[e], share_of(live, s, e, limits))
+    return settled if heard > 0 or tested == 0 else 0.0
 
 
-def share_of(live: Array, s: int, e: int, inverse: Array, limits: Array) -> float:
+def share_of(live: Array, s: int, e: int, limits: Array) -> float:
     """How much of its bound a filtered error uses up."""
-    owed = live[inverse.shape[0] + s, e]
-    if owed == 0.0:
-        return abs(live[s, e]) * inverse[s, e]
-    return abs(live[s, e]) / (limits[s, e] + limits[0, e] * owed)
+    scales = limits.shape[0]
+    above = live[s, e] - live[3 * scales + s, e]
+    below = -live[s, e] - live[2 * scales + s, e]
+    return min(max(above, below, 0.0) / (limits[s, e] + limits[0, e] * live[scales + s, e]), FAR)
 
 
-def tell_shares(live: Array, inverse: Array, limits: Array, top: Array, shares: Array) -> None:
+def tell_shares(live: Array, limits: Array, top: Array, shares: Array) -> None:
     """All shares of a sample, scale by scale; 0 where nothing can be said."""
-    scales, errors = inverse.shape[0], inverse.shape[1]
+    scales, errors = limits.shape[0], limits.shape[1]
     for e in range(errors):
         for s in range(scales):
-            shares[s * errors + e] = share_of(live, s, e, inverse, limits) if top[e] > 0.0 else 0.0
+            shares[s * errors + e] = share_of(live, s, e, limits) if top[e] > 0.0 else 0.0
 
 
-def fade(live: Array, top: int, u: Array, gap: float, rate: Array, anew: Array) -> None:
-    """What is left of the start after one more sample; all of it where a row or an input is missing."""
-    lacks = gap != 0.0
-    for i in range(u.shape[0]):
-        lacks = lacks or not math.isfinite(u[i])
-    for part in range(2):
-        for e in range(rate.shape[1]):
-            rest = live[top + part, e] * rate[part, e]
-            if lacks and anew[part, e] > rest:
-                rest = anew[part, e]
-            live[top + part, e] = rest if rest > GONE * (1.0 - rate[part, e]) else 0.0
-
-
-def fall_silent(live: Array, top: int, y: Array, diverges: Array, anew: Array, lost: Array) -> None:
-    """What the sensors that are silent add to it."""
-    p, last = y.shape[0], live.shape[1] - 1
-    silent, grows = 0, 0.0
-    for i in range(p):
-        if not math.isfinite(y[i]):
-            silent += 1
-            grows = max(grows, diverges[i])
-    if silent > 1:
-        grows = max(grows, diverges[p])
-    if silent == 0:
-        return
-    for e in range(last + 1):
-        largest = FAR if grows > 0.0 else anew[0, e] + anew[1, e]
-        if live[top, e] + live[top + 1, e] > largest:
-            live[top, e], live[top + 1, e] = 0.0, largest
-    for i in range(p):
-        if not math.isfinite(y[i]):
-            share = 1.0 + 2.0 * GONE + live[top, last] + live[top + 1, last]
-            for e in range(last + 1):
-                live[top + 1, e] = min(live[top + 1, e] + lost[i, e] * share, FAR)
-
-
-def wait(live: Array, e: int, rest: float, poles: Array) -> None:
+def wait(live: Array, e: int, rest: float, elapsed: float, poles: Array) -> None:
     """One sample on without the error: it might have been anything within its bound."""
     scales = poles.shape[0] - 1
     for s in range(scales):
-        live[s, e] = poles[s] * live[s, e]
-        live[scales + s, e] = poles[s] * live[scales + s, e] + (1.0 - poles[s]) * (1.0 + rest)
+        takes = 1.0 if poles[s] == 0.0 else elapsed * (1.0 - poles[s])
+        live[s, e] = (1.0 - takes) * live[s, e]
+        live[scales + s, e] = (1.0 - takes) * live[scales + s, e] + takes * (1.0 + rest)
+        live[2 * scales + s, e] = (1.0 - takes) * live[2 * scales + s, e]
+        live[3 * scales + s, e] = (1.0 - takes) * live[3 * scales + s, e]
 
 
-def remember(live: Array, fault: Array, k: int, bound: Array, poles: Array, off: Array, size: Array) -> None:
+def remember(
+    live: Array, fault: Array, k: int, elapsed: float, bound: Array, poles: Array, off: Array, size: Array
+) -> None:
     """How far each estimate may be off, and how large the faults have been at most."""
     last = live.shape[0] - 1
     for j in range(fault.shape[0]):
-        rest = live[last - 2, j] + live[last - 1, j]
+        rest = live[last - 4, j] + live[last - 3, j] + live[last - 2, j] + live[last - 1, j]
         off[k, j] = bound[j] * (1.0 + rest) if rest < FAR else math.inf
-        past = live[last, j] * poles[poles.shape[0] - 1]
+        past = live[last, j] * (1.0 - elapsed * (1.0 - poles[poles.shape[0] - 1]))
         if math.isfinite(fault[j, k]):
             past = max(past, abs(fault[j, k]))
         live[last, j] = past
@@ -293,8 +309,13 @@ def remember(live: Array, fault: Array, k: int, bound: Array, poles: Array, off:
 
 
 LOOP = (
+    within,
+    rest_of,
     fade,
+    add,
+    begin_anew,
     fall_silent,
+    miss,
     find_errors,
     owes,
     share_of,
