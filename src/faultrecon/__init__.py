@@ -37,6 +37,7 @@ _DOOR = {
     "Run": "faultrecon.simulation.run",
     "Scenario": "faultrecon.simulation.scenario",
     "study": "faultrecon.simulation.study",
+    "trial": "faultrecon.simulation.trial",
     "compare": "faultrecon.advise.comparison",
     "recommend": "faultrecon.advise.recommendation",
     "best": "faultrecon.advise.recommendation",
@@ -116,6 +117,7 @@ __all__ = [
     "score",
     "simulate",
     "study",
+    "trial",
     "verify",
     "watch",
     "why_not",
@@ -150,6 +152,7 @@ if TYPE_CHECKING:
     from faultrecon.simulation.run import Run, simulate
     from faultrecon.simulation.scenario import Scenario
     from faultrecon.simulation.study import study
+    from faultrecon.simulation.trial import trial
     from faultrecon.synthesis.bank import Bank, bank
     from faultrecon.synthesis.pipeline import optimum
     from faultrecon.synthesis.result import Design

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 
 from faultrecon.runtime.intake import Intake, IntakeState, Taken
 from faultrecon.runtime.intake_counts import PER_CHANNEL, Counts, Flag
+from faultrecon.runtime.intake_order import Fate
 from faultrecon.runtime.intake_watch import Watch, independent
 
 U = (Watch("valve", 0.0, 1.0),)
@@ -68,9 +69,15 @@ class Slowly:
         self.intake, self.waiting, self.out = intake, [], []
         self.newest, self.left, self.doubted, self.last = -INF, -INF, NAN, [NAN] * 3
         self.c = dict.fromkeys(("received", "passed", "merged", "duplicates", "late", "bad_time", "reordered"), 0)
-        self.lateness, self.conflicts = 0.0, [0, 0, 0]
+        self.lateness, self.conflicts, self.fates = 0.0, [0, 0, 0], []
 
     def arrive(self, t, *x):
+        before = self.c.copy()
+        self.goes_in(t, x)
+        told = {"merged": Fate.MERGED, "duplicates": Fate.DUPLICATE, "late": Fate.LATE, "bad_time": Fate.BAD_TIME}
+        self.fates.append(next((fate for name, fate in told.items() if self.c[name] > before[name]), Fate.PASSED))
+
+    def goes_in(self, t, x):
         k, c = self.c["received"], self.c
         c["received"] += 1
         if not self.believes(t):
@@ -169,6 +176,7 @@ def agrees_with_the_plain_rules(intake, rows, taken):
         slow.leave()
     c = taken.counts
     assert {name: getattr(c, name) for name in slow.c} == slow.c
+    assert taken.fates.tolist() == slow.fates
     assert c.lateness == slow.lateness and list(c.conflicts) == slow.conflicts
     assert taken.t.tolist() == [t for t, _, _ in slow.out] and taken.arrival.tolist() == [k for _, k, _ in slow.out]
     x = np.array([x for _, _, x in slow.out], dtype=float).reshape(-1, 3)
@@ -183,6 +191,9 @@ def agrees_with_the_plain_rules(intake, rows, taken):
 def adds_up(taken, waiting=0):
     c = taken.counts
     assert c.received == c.passed + c.merged + c.duplicates + c.late + c.bad_time + waiting
+    for count, fate in zip((c.merged, c.duplicates, c.late, c.bad_time), list(Fate)[1:], strict=True):
+        assert count == np.count_nonzero(taken.fates == fate)
+    assert waiting or (taken.fates[taken.arrival] == Fate.PASSED).all()
     assert c.passed == len(taken) == len(taken.y) == len(taken.arrival)
     flags = np.hstack([taken.flags_u, taken.flags_y])
     for name, flag in (("missing", 1), ("out_of_limits", 2), ("saturated", 3), ("frozen", 4)):

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import math
 from importlib import import_module
 from pathlib import Path
 from typing import Annotated
@@ -109,7 +110,7 @@ def design(
     Where there is no design, say why, and what would help.  With --bank, do so for every sensor, or those of --fault.
     """
     with guarded(as_json):
-        from faultrecon.cli.designing import make_design
+        from faultrecon.cli.designing import for_all, make_design
         from faultrecon.io.designfile import target, write_design
 
         if of_all or actuator or together:
@@ -123,8 +124,15 @@ def design(
                     faults,
                     actuator or (),
                     together or (),
-                    "" if method == DEFAULT else method,
                     tell,
+                    **for_all(
+                        "" if method == DEFAULT else method,
+                        backoff,
+                        _bound(pole_bound),
+                        level=level,
+                        fix=fix,
+                        free=free,
+                    ),
                 )
             answer(as_json, data, text)
             return
@@ -180,21 +188,16 @@ def _bound(text: str) -> float | str | None:
 
 @app.command()
 def verify(
-    file: Annotated[str, typer.Argument(help="A design file (.json).")],
+    file: Annotated[str, typer.Argument(help="A design, or a bank of designs (.json).")],
     as_json: Json = False,
 ) -> None:
-    """Prove the certificate of a design file again, from its numbers, with the standard library alone."""
+    """Prove the certificate of a design file again, or those of a bank, with the standard library alone."""
     with guarded(as_json):
-        from faultrecon.certificate import load_certificate
+        from faultrecon.cli.verifying import verified
 
-        certificate = load_certificate(file)
-        found = certificate.verify()
-        text = (
-            f"{found}\n  claim: {certificate.claim}\n  with γ = {certificate.level:.9g}\n  scope: {certificate.scope}"
-        )
-        extra = {"claim": certificate.claim, "level": certificate.level, "scope": certificate.scope}
-        answer(as_json, found.as_dict() | extra, text)
-        if not found.sound:
+        sound, data, text = verified(file)
+        answer(as_json, data, text)
+        if not sound:
             raise SystemExit(NEGATIVE)
 
 
@@ -240,6 +243,11 @@ def run(
         str, typer.Option(help="Of a bank: correct, hold, refuse or pass a sensor that is named.")
     ] = "correct",
     reorder: Annotated[float, typer.Option(help="Of a bank: seconds that rows wait for late ones.")] = 0.0,
+    leap: Annotated[
+        float, typer.Option(help="Of a bank: seconds by which one time may be ahead of the newest.")
+    ] = math.inf,
+    window: Annotated[int, typer.Option(help="Of a bank: samples that a statement rests on.")] = 24,
+    patience: Annotated[int, typer.Option(help="Of a bank: windows without an explanation before that is said.")] = 8,
     checkpoint: Checkpoint = None,
     resume: Resume = False,
     every: Every = 5.0,
@@ -254,6 +262,7 @@ def run(
         keeping, names = Keeping(checkpoint, resume, every), _mapping(column or [])
         options: dict[str, object] = {"hold": hold, "scheme": scheme, "sample_time": sample_time}
         options |= {"crest": crest, "false_alarms": false_alarms, "policy": policy, "reorder": reorder}
+        options |= {"leap": leap, "window": window, "patience": patience}
         belongs = plant_named(plant) if plant else None
         if log == "-":
             run_stdin(file, out or figure, belongs, form, names, options, keeping, as_json)

@@ -8,6 +8,11 @@ from typing import Any
 
 from faultrecon.plant.plant import Plant
 
+UNDECLARED = "  or leave them undeclared: faultrecon design PLANT --bank takes every sensor for one that may fail"
+TOLD_APART = (
+    "  which of these faults can be told from which, and from which size on, says faultrecon design PLANT --bank"
+)
+
 
 def examined(
     plant: Plant, with_sensors: bool, candidates: Sequence[str] = (), *, as_json: bool = True, log: str = ""
@@ -26,7 +31,9 @@ def examined(
     found = diagnose(plant, _trajectory(plant, log)) if log else diagnose(plant)
     advice = recommend(plant)
     data = {**found.as_dict(), "possible": found.possible, "recommendation": advice.as_dict()} if as_json else {}
-    lines = [str(found), str(advice)]
+    lines = [str(found), str(advice) if plant.faults else UNDECLARED]
+    additive = all(f.effect == "additive" for f in plant.faults)
+    lines += [TOLD_APART] if len(plant.faults) > 1 and additive and found.possible else []
     if plant.faults and (with_sensors or extra):
         rows, more = _changes(plant, extra)
         data, lines = data | rows, [*lines, more]

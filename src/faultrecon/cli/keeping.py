@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import sys
 from collections.abc import Callable, Mapping
@@ -15,7 +16,15 @@ from faultrecon.io.running import EVERY, Make, Ran, run_file
 from faultrecon.plant.signals import Signals
 
 LARGE = 100_000_000  # bytes of a log; read whole, such a CSV file takes about a gigabyte of memory
-FOR_BANKS = {"crest": 3.0, "false_alarms": 0.01, "policy": "correct", "reorder": 0.0}
+FOR_BANKS = {
+    "crest": 3.0,
+    "false_alarms": 0.01,
+    "policy": "correct",
+    "reorder": 0.0,
+    "leap": math.inf,
+    "window": 24,
+    "patience": 8,
+}
 
 
 @dataclass(frozen=True)

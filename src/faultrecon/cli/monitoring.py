@@ -28,13 +28,14 @@ def make_bank(
     faults: Sequence[str] | None,
     actuators: Sequence[str],
     together: Sequence[str],
-    method: str,
     say: Callable[[str], None],
+    **options: Any,
 ) -> tuple[dict[str, Any], str]:
     """A design for each hypothesis, written to `out`; the summary as data and as text.
 
-    faults: those of the plant whose sensors may fail; every sensor by default.  together: texts "a+b", faults that may
-    act at once.
+    faults: declared faults, sensors and inputs that may fail; by default every sensor and every declared actuator
+    fault.  actuators: inputs that may fail too.  together: texts "a+b", faults that may act at once.  options: see
+    `bank`.
     """
     if out is not None:
         target(out)
@@ -42,9 +43,9 @@ def make_bank(
     for text, names in zip(together, sets, strict=True):
         if len(names) < 2 or not all(names):
             raise InputError(f"--together '{text}'", why="it names two or more faults, as in pitch_rate+roll_rate")
-    chosen = plant if faults is None else plant.with_faults(faults)
-    sensors = None if faults is None else [name for f in chosen.faults if f.site == "sensor" for name in f.on]
-    made = bank(plant, sensors=sensors, actuators=actuators, together=sets, method=method, progress=say)
+    declared = [name for f in plant.faults if f.site == "actuator" and faults is None for name in f.on]
+    more = list(dict.fromkeys([*actuators, *declared])) if actuators else None
+    made = bank(plant, faults=faults or None, actuators=more, together=sets, progress=say, **options)
     if out is not None:
         write_bank(made, out)
     where = f"\nwrote {out}" if out is not None else "\nnothing written; add --out bank.json"
@@ -65,7 +66,7 @@ def run_bank(
     """A log through the bank in `file`; the summary as data and as text.
 
     A piece at a time with a checkpoint or for a large file, like a design.  options: sample_time, and those of
-    `Bank.monitor`.
+    `supervised`.
     """
     from faultrecon.io.logs import write_log
     from faultrecon.io.watched import watch
@@ -92,6 +93,7 @@ def _in_pieces(
     keeping: Keeping,
     progress: Callable[[float], None],
 ) -> tuple[dict[str, Any], str]:
+    from faultrecon.io.plausibility import unit_doubts_of
     from faultrecon.io.watched import monitoring
     from faultrecon.runtime.supervision import Supervision
 
@@ -101,16 +103,21 @@ def _in_pieces(
     supervision, state = done.processor, done.state
     assert isinstance(supervision, Supervision), "a bank makes nothing else"
     events, counts = supervision.monitor.events(state.monitor), state.counts
+    notes = unit_doubts_of(made.plant, done.survey.interval, done.survey.spans)
     data = {
         "rows": done.tally.written,
         "events": [event.as_dict() for event in events],
         "counts": counts.as_dict(supervision.intake.names),
+        "untested": {name: finding.as_dict() for name, finding in supervision.monitor.refused.items()},
+        "notes": list(notes),
         "resumed_at": done.resumed_at,
     }
     lines = [f"{log}: {counts.received} rows in, {done.tally.written} out, a piece at a time"]
     lines += [f"  went on at row {done.resumed_at + 1}"] if done.resumed_at else []
     lines += [f"  {finding}" for finding in supervision.intake.findings(counts)]
+    lines += [f"  not tested: {name}; {finding}" for name, finding in supervision.monitor.refused.items()]
     lines += [f"  {event}" for event in events if event.mode != "warming"]
+    lines += [f"  note: {note}" for note in notes]
     return _said(data, "\n".join(lines), out, None)
 
 

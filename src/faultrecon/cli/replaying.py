@@ -2,7 +2,7 @@
 """The verb `run`: read a design, replay a log, write what came out.
 
 A log is read whole, unless a checkpoint is asked for or its file is large: then it is run a piece at a time, with the
-same output, and without what needs the whole of it: a figure, scores, and doubts about units.
+same output, and without what needs the whole of it: a figure, scores, and doubts about the faults that were found.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from faultrecon.finding import InputError
 from faultrecon.io.bankfile import is_bank
 from faultrecon.io.designfile import read_design
 from faultrecon.io.logs import write_log
-from faultrecon.io.plausibility import GAP, Gap, doubts, longest_gap
+from faultrecon.io.plausibility import GAP, Gap, doubts, longest_gap, unit_doubts_of
 from faultrecon.io.playback import Replay, replay
 from faultrecon.io.running import Ran, reconstruction
 from faultrecon.io.tables import name_extension
@@ -133,6 +133,7 @@ def _data_of_pieces(design: Design, done: Ran, out: Path | None) -> dict[str, An
         "samples": tally.rows,
         "seconds": tally.last - tally.first,
         "longest_interval": gap,
+        "notes": list(unit_doubts_of(design.plant, interval, done.survey.spans)),
         "missing": dict(tally.missing),
         "flagged_samples": tally.flagged,
         "verdict": None if verified is None else verified.verdict,
@@ -158,6 +159,7 @@ def _text_of_pieces(design: Design, log: str, done: Ran, data: Mapping[str, Any]
         lines.append(f"  {f.name}: RMS {found['rms']:.4g} {unit}, largest {found['largest']:.4g} {unit}")
     if data["verdict"] is None:
         lines.append("  this design carries no certificate; nothing is claimed")
+    lines += [f"  note: {note}" for note in data["notes"]]
     lines += [f"  wrote {data['written']}"] if data["written"] else []
     return "\n".join(lines)
 

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """The verbs `simulate`, `compare` and `reproduce`: thin, each returns its answer as data and as text.
 
+A design is simulated in one scenario, a bank in many: see `faultrecon.simulation.trial`.
+
 A signal is written NAME:SHAPE:key=value,key=value, for example  pitch_rate:ramp:size=0.4,over=10,at=5.
 """
 
@@ -117,6 +119,46 @@ def run_simulation(
 
         save(run.plot(), figure)
     return _data(run, out, figure), _text(run, out, figure)
+
+
+def run_trial(
+    file: str,
+    faults: Sequence[str],
+    inputs: Sequence[str],
+    disturbances: Sequence[str],
+    out: Path | None,
+    figure: Path | None,
+    progress: Callable[[float], None],
+    **options: Any,
+) -> tuple[dict[str, Any], str]:
+    """The bank in `file` on simulated faults: misses by size, and false alarms; options are those of `trial`."""
+    from faultrecon.io.bankfile import read_bank
+    from faultrecon.io.logs import write_log
+    from faultrecon.io.tables import name_extension
+    from faultrecon.simulation.trial import trial
+
+    if figure is not None:
+        raise InputError("--figure with a bank", why="a trial is a table", remedies=("write it with --out trial.csv",))
+    if out is not None:
+        name_extension(str(out))
+    for text in faults:
+        if ":" in text:
+            why = "a bank is tried with steps and ramps of many sizes"
+            raise InputError(f"--fault {text}", why=why, remedies=("name the fault alone, and sizes with --size",))
+    made = read_bank(file)
+    happens = scenario_from((), inputs, disturbances, made.plant)
+    found = trial(
+        made,
+        faults=faults or None,
+        inputs=happens.inputs,
+        disturbances=happens.disturbances,
+        progress=progress,
+        **options,
+    )
+    if out is not None:
+        write_log(out, found.columns())
+    written = {"written": None if out is None else str(out)}
+    return found.as_dict() | written, "\n".join([str(found), *([f"wrote {out}"] if out is not None else [])])
 
 
 def run_comparison(

@@ -12,10 +12,14 @@ from dataclasses import asdict
 from typing import IO, Any
 
 from faultrecon.cli.shell import abandon_output
+from faultrecon.finding import Finding
 from faultrecon.io.lines import LONGEST
 from faultrecon.io.streams import Listened, run_stream
 
 PIECE = 1 << 16  # bytes of an overlong line that are passed over at a time
+KINDS = {"aside": "set aside", "malformed": "malformed", "waiting": "still waiting", "repeated": "repeated"}
+KINDS |= {"blank": "blank", "headers": "of header"}
+ROWS = ("received", "passed", "merged", "duplicates", "late", "bad_time", "reordered")
 
 
 class Interrupted(BaseException):
@@ -115,7 +119,25 @@ def _ended(done: Listened, asked: bool) -> str:
     return "nobody reads the answers" if done.closed else "asked to end" if asked else "end of input"
 
 
+def _intake(done: Listened) -> tuple[dict[str, Any], tuple[Finding, ...]]:
+    """What became of the samples, and what somebody should know about them; nothing where they have no intake."""
+    from faultrecon.runtime.supervision import Supervision
+
+    if not isinstance(done.processor, Supervision):
+        return {}, ()
+    intake, counts = done.processor.intake, done.state.counts
+    return counts.as_dict(intake.names), intake.findings(counts)
+
+
+def _untested(done: Listened) -> dict[str, Finding]:
+    """Hypotheses of a bank that nothing tests, and why."""
+    from faultrecon.runtime.supervision import Supervision
+
+    return dict(done.processor.monitor.refused) if isinstance(done.processor, Supervision) else {}
+
+
 def _data(done: Listened, asked: bool, checkpoint: str | None) -> dict[str, Any]:
+    counts, found = _intake(done)
     return {
         **asdict(done.heard),
         "seq": done.seq,
@@ -123,12 +145,19 @@ def _data(done: Listened, asked: bool, checkpoint: str | None) -> dict[str, Any]
         "ended": _ended(done, asked),
         "checkpoint": checkpoint,
         **done.chosen,
+        **({"counts": counts, "findings": [finding.as_dict() for finding in found]} if counts else {}),
+        **({"untested": {name: why.as_dict() for name, why in _untested(done).items()}} if counts else {}),
     }
 
 
 def _text(done: Listened, asked: bool, checkpoint: str | None) -> str:
-    heard = done.heard
-    told = [f"{heard.answered} answered"]
-    told += [f"{number} {name}" for name in ("malformed", "repeated", "blank") if (number := getattr(heard, name))]
+    heard = asdict(done.heard)
+    told = [f"{heard['answered']} answered"]
+    told += [f"{heard[name]} {said}" for name, said in KINDS.items() if heard[name]]
     kept = f"; {checkpoint} holds the state after line {done.seq}" if checkpoint else ""
-    return f"{_ended(done, asked)} after {heard.lines} lines, {', '.join(told)}{kept}"
+    counts, found = _intake(done)
+    rows = [f"{number} {name.replace('_', ' ')}" for name, number in counts.items() if name in ROWS and number]
+    lines = [f"{_ended(done, asked)} after {heard['lines']} lines, {', '.join(told)}{kept}"]
+    lines += [f"  samples: {', '.join(rows)}"] if rows else []
+    lines += [f"  not tested: {name}; {why}" for name, why in _untested(done).items()]
+    return "\n".join([*lines, *(f"  {finding}" for finding in found)])

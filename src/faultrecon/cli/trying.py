@@ -34,24 +34,44 @@ def _scenario(
 
 @app.command()
 def simulate(
-    name: Annotated[str, typer.Argument(metavar="DESIGN", help="A design file (.json), or a plant to design for.")],
+    name: Annotated[
+        str, typer.Argument(metavar="DESIGN", help="A design or a bank (.json), or a plant to design for.")
+    ],
     method: Annotated[str, typer.Option("--method", "-m", help="Method, when a plant is given.")] = "lipschitz-hinf",
     faults: Annotated[Signals, FAULT] = None,
     inputs: Annotated[Signals, INPUT] = None,
     disturbances: Annotated[Signals, DISTURBANCE] = None,
-    duration: Annotated[float | None, typer.Option(help="Seconds.")] = None,
+    duration: Annotated[float | None, typer.Option(help="Seconds; with a bank, that each fault lasts.")] = None,
     sample_time: Annotated[float | None, typer.Option(help="Seconds.")] = None,
+    runs: Annotated[int, typer.Option(help="Of a bank: for each fault, size and waveform.")] = 20,
+    sizes: Annotated[
+        list[float] | None, typer.Option("--size", help="Of a bank: a size to try, in declared sizes; repeatable.")
+    ] = None,
+    hours: Annotated[float, typer.Option(help="Of a bank: without a fault, to count false alarms.")] = 0.5,
     noise: Annotated[bool, typer.Option(help="Whether the declared sensor noise acts.")] = True,
     seed: Annotated[int, typer.Option(help="Every random signal follows from it.")] = 0,
     out: Annotated[Path_, typer.Option("--out", "-o", help="Where to write the run (.csv, .parquet).")] = None,
     figure: Annotated[Path_, typer.Option(help="Where to draw it (.png, .pdf, .svg).")] = None,
     as_json: Json = False,
 ) -> None:
-    """Let a fault happen in the plant and see what the design makes of it."""
+    """Let a fault happen in the plant and see what the design makes of it.
+
+    With a bank: let each fault, or those of --fault NAME, happen many times, as a step and as a ramp, and tell how
+    many were missed by size, and how many were made up.
+    """
     with guarded(as_json):
-        from faultrecon.cli.simulating import run_simulation
+        from faultrecon.cli.simulating import run_simulation, run_trial
+        from faultrecon.io.bankfile import is_bank
 
         options = {"duration": duration, "sample_time": sample_time, "noise": noise, "seed": seed}
+        if is_bank(name):
+            options |= {"runs": runs, "sizes": sizes or None, "hours": hours}
+            with bar("trying") as tell:
+                data, text = run_trial(
+                    name, faults or (), inputs or (), disturbances or (), out, figure, tell, **options
+                )
+            answer(as_json, data, text)
+            return
         if name.lower().endswith(".json"):
             from faultrecon.io.designfile import read_design
 

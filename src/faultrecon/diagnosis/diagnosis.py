@@ -18,6 +18,7 @@ from faultrecon.diagnosis.existence import (
     fault_findings,
     slow_fault_findings,
 )
+from faultrecon.diagnosis.groups import look_alikes
 from faultrecon.diagnosis.limits import Floor, reconstruction_floors, slow_fault_floor
 from faultrecon.diagnosis.plausibility import oddities
 from faultrecon.finding import Finding, InputError
@@ -132,7 +133,7 @@ def diagnose(plant: Plant, trajectory: Any = None) -> Diagnosis:
     found = [_limited(d, limit) for d, limit in zip(begun, _limits(begun), strict=True)]
     # A level against disturbances, and sensors that count as exact in it, are no matter of faults that multiply.
     level = not names or any(f.effect == "additive" for f in plant.faults)
-    notes = oddities(plant if level else replace(plant, faults=()))
+    notes = [*oddities(plant if level else replace(plant, faults=())), *look_alikes(plant)]
     return Diagnosis(plant.name, found[0], tuple(found[1:]), tuple(notes))
 
 

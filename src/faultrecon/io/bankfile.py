@@ -4,8 +4,12 @@
 from __future__ import annotations
 
 import json
+import math
 import os
+from collections.abc import Mapping
 from typing import Any
+
+import numpy as np
 
 from faultrecon.certificate import DAMAGE, read_document
 from faultrecon.finding import Finding, InputError
@@ -16,6 +20,7 @@ from faultrecon.synthesis.bank import Bank
 
 SCHEMA = 1
 KIND = "bank"
+LARGEST = 1 << 28  # bytes: a design of a plant with a hundred states takes some 2 MB
 
 
 def write_bank(bank: Bank, path: str | os.PathLike[str]) -> None:
@@ -34,9 +39,9 @@ def write_bank(bank: Bank, path: str | os.PathLike[str]) -> None:
         "written_by": f"faultrecon {__version__}",
         "plant": bank.plant.to_dict(),
         "designs": {name: design_document(design) for name, design in bank.designs.items()},
-        "refused": {name: finding.as_dict() for name, finding in bank.refused.items()},
+        "refused": {n: _plain(finding.as_dict(), f"{file}: refused: {n}") for n, finding in bank.refused.items()},
     }
-    write_document(json.loads(json.dumps(document, default=str)), file)
+    write_document(document, file)
 
 
 def read_bank(path: str | os.PathLike[str], plant: Plant | None = None) -> Bank:
@@ -72,17 +77,40 @@ def read_bank(path: str | os.PathLike[str], plant: Plant | None = None) -> Bank:
 
 
 def is_bank(path: str | os.PathLike[str]) -> bool:
-    """Whether a file says that it is a bank; a file that cannot be read is none."""
+    """Whether a file says that it is a bank; one that cannot be read, is no JSON or larger than `LARGEST` is none."""
     try:
         with open(path, encoding="utf-8") as file:
-            return f'"faultrecon-{KIND}"' in file.read(200)
-    except (OSError, UnicodeDecodeError):
+            if file.read(64).lstrip()[:1] != "{" or os.path.getsize(path) > LARGEST:
+                return False  # most other files are known by their first character, and need not be read
+            file.seek(0)
+            document = json.load(file)
+    except (OSError, ValueError, RecursionError):
         return False
+    return isinstance(document, dict) and document.get("kind") == f"faultrecon-{KIND}"
 
 
 def _bare(plant: Plant) -> Plant:
     """The plant without its faults, which a bank chooses itself."""
     return plant.with_faults([])
+
+
+def _plain(value: Any, where: str) -> Any:
+    """A value as JSON holds it, what is not finite as null.  Raises InputError on what it cannot hold."""
+    if value is None or isinstance(value, str | bool | int):
+        return value
+    if isinstance(value, float):
+        return float(value) if math.isfinite(value) else None
+    if isinstance(value, Mapping):
+        return {str(k): _plain(v, f"{where}: {k}") for k, v in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(v, where) for v in value]
+    if isinstance(value, np.generic | np.ndarray):
+        return _plain(value.tolist(), where)
+    raise InputError(
+        f"{where}: a {type(value).__name__} cannot be written",
+        why="a bank file holds numbers, texts, lists and tables",
+        remedies=("give the evidence of the finding as numbers or texts",),
+    )
 
 
 def _finding(document: dict[str, Any]) -> Finding:

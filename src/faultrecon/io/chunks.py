@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Recordings of any length, a piece at a time: first a survey of their times, then the samples.
+"""Recordings of any length, a piece at a time: first a survey, then the samples.
 
 What comes out is what `read_log` reads, to the last bit; the memory it takes does not depend on how long the file is.
 """
@@ -9,8 +9,8 @@ from __future__ import annotations
 import hashlib
 import os
 import tempfile
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import asdict, dataclass
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, field
 from typing import IO, TYPE_CHECKING, Any
 
 import numpy as np
@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from faultrecon.finding import InputError
 from faultrecon.io.batches import BLOCK, Pieces
-from faultrecon.io.logs import _matched
+from faultrecon.io.logs import matched
 from faultrecon.io.tables import elapsed, first_unlike, no_time, numbers, place, plain_column, time_kinds
 from faultrecon.plant.signals import Signals
 
@@ -27,6 +27,7 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 Samples = tuple[Array, Array, Array]
+Span = Sequence[float]  # two of them: the least and the largest
 PIECE = 65_536  # rows, some 10 MB of a table with twenty columns
 SAMPLE = 1 << 16  # bytes at the beginning, in the middle and at the end that a recording is known by
 DIGITS = 16  # bits of a number that one look through all intervals settles
@@ -38,6 +39,7 @@ class Survey:
 
     time, signals: the columns; rows; interval: the median one, s, None for a single row.  kind: which of
     `tables.time_kinds` text is to be read as, None for a column that is no text; since: where dates are counted from.
+    spans: the least and the largest finite value of every signal that has one.
     """
 
     time: str
@@ -46,10 +48,12 @@ class Survey:
     interval: float | None
     kind: int | None
     since: int | None
+    spans: Mapping[str, Span] = field(default_factory=dict)
 
     def as_dict(self) -> dict[str, Any]:
         """Plain values, for a checkpoint."""
-        return asdict(self) | {"signals": dict(self.signals)}
+        spans = {name: list(ends) for name, ends in self.spans.items()}
+        return asdict(self) | {"signals": dict(self.signals), "spans": spans}
 
 
 def fingerprint(source: str) -> str:
@@ -66,7 +70,7 @@ def fingerprint(source: str) -> str:
 def columns_of(source: str, signals: Signals, mapping: Mapping[str, str] | None = None) -> dict[str, str]:
     """The column of every signal, and that of the time as "t".  Raises InputError that lists those missing."""
     wanted = dict.fromkeys((*signals.u.names, *signals.y.names))
-    found = _matched(source, Pieces(source).names, [*wanted], mapping or {})
+    found = matched(source, Pieces(source).names, [*wanted], mapping or {})
     return {**found.by_signal, "t": found.time}
 
 
@@ -77,10 +81,11 @@ def survey(
     progress: Callable[[float], None] | None = None,
     as_it_came: bool = False,
 ) -> Survey:
-    """One look through the times of a recording.
+    """One look through a recording.
 
-    progress is told which part is done.  Raises InputError as `read_log` does: on columns that are not there, and on
-    times that are absent or do not increase, with the row; these are let through where it is read as it came.
+    progress is told which part is done.  Raises InputError as `read_log` does: on columns that are not there, on cells
+    that are no numbers, and on times that are absent or do not increase and values that are infinite, with the row;
+    these two are let through where it is read as it came.
     """
     columns = columns_of(source, signals, mapping)
     time = columns.pop("t")
@@ -88,9 +93,9 @@ def survey(
     for kind in range(len(time_kinds())):
         try:
             with tempfile.TemporaryFile() as kept:
-                rows, since, text = _spill(source, time, kind, kept, progress, as_it_came)
+                rows, since, text, spans = _spill(source, time, columns, kind, kept, progress, as_it_came)
                 interval = _median_interval(kept)
-            return Survey(time, columns, rows, interval, kind if text else None, since)
+            return Survey(time, columns, rows, interval, kind if text else None, since, spans)
         except _OtherKindError as error:
             refused.append(error.row)
     row = max(refused)
@@ -119,21 +124,32 @@ class _OtherKindError(Exception):
 
 
 def _spill(
-    source: str, column: str, kind: int, into: IO[bytes], progress: Callable[[float], None] | None, as_it_came: bool
-) -> tuple[int, int | None, bool]:
-    """Write all times to a file, 8 bytes each, and look that they increase; their number, their origin, if text."""
-    rows, since, text, last = 0, None, False, -np.inf
-    table = Pieces(source)
-    for piece in table.read([column]):
+    source: str,
+    column: str,
+    signals: Mapping[str, str],
+    kind: int,
+    into: IO[bytes],
+    progress: Callable[[float], None] | None,
+    as_it_came: bool,
+) -> tuple[int, int | None, bool, dict[str, Span]]:
+    """Write all times to a file, 8 bytes each, and look that they increase; their number, their origin, if text.
+
+    Also the spans of the signals, whose columns are given.
+    """
+    rows, since, text, last, spans = 0, None, False, -np.inf, dict[str, Span]()
+    table, read = Pieces(source), numbers if as_it_came else _signal
+    for piece in table.read(list(dict.fromkeys((column, *signals.values())))):
         values = plain_column(piece.column(column))
         values, text = _as_kind(values, kind, rows)
         t, since = _seconds(source, column, values, since, rows, as_it_came)
-        wrong = ~np.isfinite(t) | ~(np.diff(t, prepend=last) > 0)
+        wrong = ~np.isfinite(t) | ~(t > np.append(last, t[:-1]))
         if wrong.any() and not as_it_came:
             k = int(np.argmax(wrong))
             before = last if k == 0 else t[k - 1]
             raise _not_later(source, column, rows + k, float(t[k]), float(before))
         into.write(t.tobytes())
+        for name, own in signals.items():
+            _widen(spans, name, read(source, piece, own, rows))
         rows, last = rows + len(t), t[-1]
         if progress is not None:
             progress(table.done())
@@ -141,7 +157,15 @@ def _spill(
         raise InputError(
             f"{source}: is empty", why="it has a header and no rows", remedies=("record at least one sample",)
         )
-    return rows, since, text
+    return rows, since, text, spans
+
+
+def _widen(spans: dict[str, Span], name: str, values: Array) -> None:
+    """A span with further values in it."""
+    known = values[np.isfinite(values)]
+    if known.size:
+        low, high = spans.get(name, (np.inf, -np.inf))
+        spans[name] = min(low, float(known.min())), max(high, float(known.max()))
 
 
 def _as_kind(values: Any, kind: int, first: int) -> tuple[Any, bool]:
@@ -260,7 +284,8 @@ def _median_interval(times: IO[bytes]) -> float | None:
     if n < 1:
         return None
     middle = [_ranked(times, rank) for rank in sorted({(n - 1) // 2, n // 2})]
-    return float(np.mean(middle))
+    with np.errstate(over="ignore"):  # two finite times may be infinitely far apart
+        return float(np.mean(middle))
 
 
 def _ranked(times: IO[bytes], rank: int) -> float:
@@ -288,6 +313,7 @@ def _intervals(times: IO[bytes]) -> Iterator[Array]:
     while block := times.read(BLOCK):
         t = np.concatenate((last, np.frombuffer(block)))
         t = t[np.isfinite(t)]
-        steps = np.diff(t)
+        with np.errstate(over="ignore"):
+            steps = np.diff(t)
         yield steps[steps > 0]
         last = t[-1:]

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from faultrecon.finding import InputError
-from faultrecon.io.logs import TIMES, _matched
+from faultrecon.io.logs import TIMES, matched
 from faultrecon.io.tables import ABSENT
 from faultrecon.plant.signals import Signals
 
@@ -223,7 +223,7 @@ class _Csv:
     def __init__(
         self, present: Sequence[str], signals: Signals, mapping: Mapping[str, str], columns: Sequence[str]
     ) -> None:
-        found = _matched(INPUT, present, (*signals.u.names, *signals.y.names), mapping)
+        found = matched(INPUT, present, (*signals.u.names, *signals.y.names), mapping)
         u, y = ([found.by_signal[name] for name in group] for group in (signals.u.names, signals.y.names))
         self._groups, self._time, self._present, self._columns = (u, y), found.time, present, columns
 

@@ -87,7 +87,7 @@ def read_log(
     source = os.fspath(path)
     wanted = (*signals.u.names, *signals.y.names)
     table = read_table(source)
-    columns = _matched(source, table.column_names, wanted, mapping or {})
+    columns = matched(source, table.column_names, wanted, mapping or {})
     if table.num_rows == 0:
         raise InputError(
             f"{source}: is empty", why="it has a header and no rows", remedies=("record at least one sample",)
@@ -174,14 +174,14 @@ def _repeats(values: NDArray) -> bool:
 
 
 @dataclass(frozen=True)
-class _Columns:
+class Matched:
     """Which column is the time, and which is each signal."""
 
     time: str
     by_signal: Mapping[str, str]
 
 
-def _matched(source: str, present: Sequence[str], wanted: Sequence[str], mapping: Mapping[str, str]) -> _Columns:
+def matched(source: str, present: Sequence[str], wanted: Sequence[str], mapping: Mapping[str, str]) -> Matched:
     """The column of every signal.  Raises InputError that lists all that are missing."""
     for name in mapping:
         if name not in wanted and name not in TIMES:
@@ -206,7 +206,7 @@ def _matched(source: str, present: Sequence[str], wanted: Sequence[str], mapping
     for column in (time, *by_signal.values()):
         if list(present).count(column) > 1:
             raise InputError(f"{source}: two columns are called '{column}'", remedies=("rename or remove one of them",))
-    return _Columns(time, by_signal)
+    return Matched(time, by_signal)
 
 
 def _time_column(source: str, present: Sequence[str], mapping: Mapping[str, str]) -> str:

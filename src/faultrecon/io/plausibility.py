@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 
 import numpy as np
@@ -65,22 +66,33 @@ def unit_doubts(plant: Plant, t: Array, u: Array, y: Array) -> tuple[str, ...]:
 
     t (N,), u (N, m), y (N, p), also as they came: in any order, with gaps, before limits took away what is beyond them.
     """
-    found = []
     with np.errstate(over="ignore"):  # of clocks gone wild
         intervals = np.diff(np.unique(t[np.isfinite(t)]))
-    if plant.noise is not None and intervals.size:
-        interval, hold = float(np.median(intervals)), plant.noise.hold
+        interval = float(np.median(intervals)) if intervals.size else None
+    spans = {}
+    for channels, values in ((plant.signals.u, u), (plant.signals.y, y)):
+        spans |= {name: span(column) for name, column in zip(channels.names, values.T, strict=True)}
+    return unit_doubts_of(plant, interval, spans)
+
+
+def unit_doubts_of(
+    plant: Plant, interval: float | None, spans: Mapping[str, Sequence[float] | None]
+) -> tuple[str, ...]:
+    """The same sentences, from what is kept of a log of any length: its median interval, s, and `span`s by signal."""
+    found = []
+    if plant.noise is not None and interval is not None:
+        hold = plant.noise.hold
         if not 1 / FAR <= interval / hold <= FAR:
             found.append(
                 f"the log has a sample every {interval:.4g} s, the plant's noise is held {hold:.4g} s: "
                 "is the time in other units?"
             )
-    groups = ((plant.signals.u, plant.point.u, u), (plant.signals.y, plant.point.y, y))
-    for channels, point, values in groups:
-        for name, unit, wide, rest, column in zip(
-            channels.names, channels.units, channels.ranges, point, values.T, strict=True
-        ):
-            if ratio := _beyond(column - rest, wide):
+    for channels, point in ((plant.signals.u, plant.point.u), (plant.signals.y, plant.point.y)):
+        for name, unit, wide, rest in zip(channels.names, channels.units, channels.ranges, point, strict=True):
+            ends = np.array(spans.get(name) or (), dtype=float)
+            with np.errstate(over="ignore"):  # an end may be the largest number there is
+                ratio = _beyond(ends - rest, wide)
+            if ratio:
                 found.append(
                     f"{name} goes to {ratio:.3g} times its declared range of {_with(wide, unit)} around the operating "
                     f"point of {_with(rest, unit)}: is it in other units?"
@@ -88,7 +100,13 @@ def unit_doubts(plant: Plant, t: Array, u: Array, y: Array) -> tuple[str, ...]:
     return tuple(found)
 
 
-def _beyond(values: np.ndarray, declared: float) -> float | None:
+def span(values: Array) -> tuple[float, float] | None:
+    """The least and the largest finite value, None where there is none."""
+    known = values[np.isfinite(values)]
+    return (float(known.min()), float(known.max())) if known.size else None
+
+
+def _beyond(values: Array, declared: float) -> float | None:
     """The largest known size in terms of what was declared, where it is far beyond; None also when none is declared."""
     known = values[np.isfinite(values)]
     if not known.size or np.isnan(declared):

@@ -118,16 +118,11 @@ def bounds(
     certain = certain + _nonlinearity(system, found.peak, certain[0] + allowance.noise_peak * spread[0])
     steady = certain[0] + allowance.noise_peak * spread[0]
     first = Beginning.of(plant)
-    sizes = np.where(np.isfinite(sizes), sizes, 0.0) + allowance.noise_peak * noise
-    fresh = np.hstack([system.fresh * sizes, system.waiting * sizes])
-    own = system.start[: len(estimator.observer.A)]
-    box = _with(first.box(estimator.observer, own, allowance.crest, allowance.noise_peak), fresh)
-    blind = _with(first.blind_box(own), fresh)
+    box, blind = _boxes(first, estimator, system, allowance)
     units = np.nan_to_num(steady, posinf=0.0) + LEAST * np.abs(every @ box).sum(axis=1)
-    units[:rows] = steady[:rows]
-    units = np.maximum(units, np.finfo(float).tiny)
+    units = np.maximum(np.append(steady[:rows], units[rows:]), np.finfo(float).tiny)
     slipped = system.slope * float(np.linalg.norm(units[rows : len(system.C)]))
-    zeta = units[len(system.C) :][: len(own)]
+    zeta = units[len(system.C) :][: len(estimator.observer.A)]
     missing = _Missing.of(plant, estimator, _sizes_of(plant, allowance, zeta, slipped))
     fades = _Fades.of(system, every, units, box, missing.usual)
     skipped = fades.tables([fades.come(one) for one in missing.gaps])
@@ -160,6 +155,16 @@ def _whichever(system: ErrorSystem, found: Gains) -> Gains:
             peak[..., late] = np.maximum(peak[..., late], peak[..., k])
             peak[..., k] = 0.0
     return Gains(peak, noise)
+
+
+def _boxes(first: Beginning, estimator: Estimator, system: ErrorSystem, allowance: Allowance) -> tuple[Array, Array]:
+    """ζ before anything is known but the first sample, and before that one is."""
+    sizes, noise = _sizes(system, allowance)
+    sizes = np.where(np.isfinite(sizes), sizes, 0.0) + allowance.noise_peak * noise
+    fresh = np.hstack([system.fresh * sizes, system.waiting * sizes])
+    own = system.start[: len(estimator.observer.A)]
+    box = first.box(estimator.observer, own, allowance.crest, allowance.noise_peak)
+    return _with(box, fresh), _with(first.blind_box(own), fresh)
 
 
 def _with(box: Array, fresh: Array) -> Array:
@@ -371,5 +376,5 @@ def _of_missing(skipped: Array, unfed: Array, lost: Array) -> tuple[str, ...]:
     parts += ["missing inputs"] if inputs and inputs == len(unfed) else []
     parts += ["silent sensors"] if sensors and sensors == len(lost) else []
     said = [f"{' and '.join(parts)} are accounted for where they do not meet each other"] if parts else []
-    what = "anything else is missing" if parts else "rows, inputs or sensors are missing"
-    return (*said, f"after {what} the error is no larger than that of an observer at rest")
+    when = "beyond that" if parts else "where rows, inputs or sensors are missing"
+    return (*said, f"{when} the error is no larger than that of an observer at rest")

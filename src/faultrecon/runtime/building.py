@@ -10,10 +10,11 @@ from dataclasses import replace
 import numpy as np
 
 from faultrecon.finding import FaultreconError, Finding, Impossible, InputError
+from faultrecon.plant.plant import Plant
 from faultrecon.runtime.bounds import Allowance, bounds
 from faultrecon.runtime.correction import Correction, Policy
 from faultrecon.runtime.decision import Rules
-from faultrecon.runtime.errors import error_system
+from faultrecon.runtime.errors import ErrorSystem, error_system
 from faultrecon.runtime.isolation import isolation, memory
 from faultrecon.runtime.monitor import Hypothesis, Monitor
 from faultrecon.runtime.stepping import Hold
@@ -50,10 +51,10 @@ def monitor_of(
         raise InputError(f"the crest factor is {crest}", why="it is a positive number")
     if window < 2:
         raise InputError(f"the window is {window} samples", why="it takes two or more")
-    rules, found, systems, refused = Rules(window), [], [], dict[str, Finding]()
+    rules, found, systems, refused = Rules(window), [], [], dict(bank.refused)
     T = _sample_time(bank, sample_time)
     poles = filters(T, spans if spans is not None else [span * T for span in SPANS])
-    tests = len(poles) * sum(d.plant.p for d in bank.designs.values())
+    tests = len(poles) * sum(_tested(d.plant) for d in bank.designs.values())
     allowance = Allowance(crest, noise_room(false_alarms, tests, T, rules))
     for name, design in bank.designs.items():
         try:
@@ -61,15 +62,17 @@ def monitor_of(
             system = error_system(design.plant, estimator)
             limits = bounds(design.plant, estimator, system, allowance, poles)
             if not np.isfinite(limits.steady[0]).any():
-                raise Impossible(f"{name}: nothing bounds its errors", why="; ".join(limits.assumptions))
+                raise Impossible(_unbounded(design.plant, system))
             found.append(Hypothesis.of(name, Watch(design.plant, estimator, limits, poles)))
             systems.append(system)
         except FaultreconError as error:
             refused[name] = error.finding
     if not found:
-        first = next(iter(refused.values()))
+        first = next(refused[name] for name in (*bank.designs, *refused))
         raise Impossible(
-            f"no hypothesis about {bank.plant.name} can be tested", why=str(first), remedies=first.remedies
+            f"no hypothesis about {bank.plant.name} can be tested",
+            why=first.what + (f": {first.why}" if first.why else ""),
+            remedies=first.remedies,
         )
     stale = 10.0 * T if stale is None else stale
     kept = memory([h.watch for h in found], systems)
@@ -90,6 +93,37 @@ def noise_room(false_alarms: float, tests: int, sample_time: float, rules: Rules
     samples = 3600.0 / sample_time
     odds = min(1.0, false_alarms * rules.enough / (samples * max(tests, 1)))
     return float(math.sqrt(2.0) * erfcinv(odds))
+
+
+def _tested(plant: Plant) -> int:
+    """How many numbers of a watch are tested behind each filter: its faults, and the sensors that they do not reach."""
+    return len(plant.faults) + plant.p - int(np.any(plant.F_f != 0, axis=1).sum())
+
+
+def _unbounded(plant: Plant, system: ErrorSystem) -> Finding:
+    """Why no error of an observer has a bound, and what would give it one."""
+    rates = [s.name for s in system.unbounded if s.kind == "fault rate"]
+    if rates:
+        return Finding(
+            f"no rate is declared for {' and '.join(dict.fromkeys(rates))}",
+            why="its observer follows the fault, and without a bound on the rate nothing bounds the error",
+            evidence={"without a rate": list(dict.fromkeys(rates))},
+            remedies=(f"declare rate = ... in a [[fault]] table of {rates[0]}, and make the bank again",),
+        )
+    if system.slope:
+        return Finding(
+            f"no bound is known for the observer of {plant.name}",
+            why="its errors feed the nonlinearity, and a small-gain argument finds no end of that",
+            evidence={"Lipschitz constant": system.slope},
+            remedies=("shrink the domain, and with it the Lipschitz constant", "use a shorter sample time"),
+        )
+    largest = float(np.abs(np.linalg.eigvals(system.M)).max(initial=0.0))
+    return Finding(
+        f"nothing bounds the errors of the observer of {plant.name} at this sample time",
+        why="sampled, they do not decay",
+        evidence={"largest eigenvalue from sample to sample": largest},
+        remedies=("use a shorter sample time", "design with a smaller pole bound"),
+    )
 
 
 def _sample_time(bank: Bank, given: float | None) -> float:

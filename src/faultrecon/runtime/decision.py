@@ -101,7 +101,7 @@ def counted(rules: Rules, before: Counts, now: Counts) -> tuple[Counts, Verdicts
         after.append(both[len(both) - (W - 1) :])
     failed, outside, faded, heard = sums
     least = rules.enough
-    return Counts(*after), Verdicts(failed >= least, failed == 0, outside >= least, faded == W, heard >= least)
+    return Counts(*after), Verdicts(failed >= least, failed == 0, outside >= least, faded >= least, heard >= least)
 
 
 @dataclass(frozen=True)

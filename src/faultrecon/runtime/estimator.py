@@ -17,7 +17,7 @@ What happens to imperfect samples is part of the contract:
 - A sampled observer is not integrated.  An interval of k sample times is k - 1 rows that never came: each is predicted
   whole, like a sample without a single measurement, and counted among the gaps.  Any other interval is taken for the
   nearest such one, and `ok` is False for the whole row: its time is not the one the observer has counted to.
-- A wrong shape, or time that does not increase, raises InputError.
+- A wrong shape, time that does not increase, and an interval of more than ten million sample times raise InputError.
 
 Two engines share the work, see `runtime.engine`: which one is reported, and the rules are the same.
 """
@@ -294,7 +294,8 @@ class Estimator:
         complete = np.asarray(np.isfinite(y).all(axis=1))
         plain = complete & np.isfinite(u).all(axis=1)
         plain[:1] = False
-        plain[1:] &= self._general.is_regular(np.diff(t), t[1:])
+        with np.errstate(over="ignore"):  # two finite times may be infinitely far apart
+            plain[1:] &= self._general.is_regular(np.diff(t), t[1:])
         if self.hold == "left":
             plain[1:] &= complete[:-1]
         edges = np.flatnonzero(np.diff(plain, prepend=False, append=False))

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from faultrecon.finding import InputError
 from faultrecon.graph.observer import Observer
 from faultrecon.runtime.filling import Filling, Prediction, reads_directly
 from faultrecon.runtime.samples import Array, Layout, Mask, State, last_known
@@ -24,6 +25,7 @@ if TYPE_CHECKING:
     import casadi
 
 REGULAR = 1e-6  # relative: how far an interval may be from the sample time and still count as one
+FARTHEST = 1e7  # sample times between two samples: a day at 10 ms, and two minutes of work to cross for a nonlinear one
 REMEMBERED = 8_000_000  # numbers: how much of the matrices of irregular intervals is kept, 64 MB
 PATTERNS = 256  # kernels kept, one per pair of gap patterns met
 ALONE = 4  # rows: a single call costs as much as eight rows of a loop, which is padded to 32
@@ -50,7 +52,10 @@ class General:
     # ------------------------------------------------------------ one sample
 
     def sample(self, before: Array, t: float, u: Array, y: Array) -> Array:
-        """The row after the sample (t, u, y), checked already, that follows the row `before`."""
+        """The row after the sample (t, u, y), checked already, that follows the row `before`.
+
+        Raises InputError when it is `FARTHEST` sample times or more after it.
+        """
         o, lay = self.observer, self.layout
         missing, lost = ~np.isfinite(y), ~np.isfinite(u)
         v = np.concatenate((np.where(lost, 0.0, u - o.u0), np.where(missing, 0.0, y - o.y0)))
@@ -82,6 +87,7 @@ class General:
         """The samples t (N,), u (N, m), y (N, p), N >= 1, that follow the row `before`; the last row comes back.
 
         into: where fault, state, corrected and ok of these samples go.  progress is told how many rows are done.
+        Raises InputError as `sample` does.
         """
         o, lay = self.observer, self.layout
         start = State(before, lay)
@@ -95,7 +101,7 @@ class General:
             s[0] = self._next(before[lay.carried], start.t, start.missing, float(t[0]), v[0], missing[0])
         self._carry(s, t, v, missing, progress)
         flawed, skipped = np.any(lost, axis=1), 0
-        if self.scheme == "sampled":
+        if self.scheme == "sampled":  # no interval is infinite here: the carrying would have stopped
             lengths = np.diff(t, prepend=start.t if start.samples else t[0] - self.sample_time)
             flawed, skipped = flawed | self._off_beat(lengths, t), int(self._skipped(lengths).sum())
         parts = self._read(s, y, missing, flawed)
@@ -109,7 +115,8 @@ class General:
 
     def _carry(self, s: Array, t: Array, v: Array, missing: Mask, progress: Callable[[int], None]) -> None:
         """Fill s (N, nz+m+p) from its first row on; runs of alike intervals go to the mapped loop."""
-        lengths = np.diff(t)
+        with np.errstate(over="ignore"):  # two finite times may be infinitely far apart; `_next` refuses them
+            lengths = np.diff(t)
         if not lengths.size:
             return
         regular = self.is_regular(lengths, t[1:])
@@ -155,6 +162,8 @@ class General:
     def _next(self, s: Array, t0: float, gone: Mask, t: float, v: Array, missing: Mask) -> Array:
         """[z; v] at the sample (t, v), v (m+p,) with zeros where a channel is missing, from s = [z; v] at t0."""
         h = t - t0
+        if h > FARTHEST * self.sample_time and (self.scheme == "sampled" or not self.is_regular(h, t)):
+            raise _too_far(t, h, self.sample_time)
         if self.scheme == "sampled":
             return self._through(s, t0, gone, int(self._skipped(h)), v, missing)
         stepper = self.stepper(gone, missing)
@@ -301,6 +310,15 @@ def _on_the_surface(observer: Observer, z: Array, v: Array) -> Array:
     reads = np.vstack([one.reads for one in observer.injections])
     found = reads @ z + np.vstack([one.direct for one in observer.injections]) @ v
     return z - free @ np.linalg.lstsq(reads @ free, found, rcond=None)[0]
+
+
+def _too_far(t: float, h: float, sample_time: float) -> InputError:
+    return InputError(
+        f"the sample at t = {t:g} s comes {h:.3g} s after the one before it",
+        why=f"after {FARTHEST:.0g} sample times nothing of what was known is worth carrying on",
+        evidence={"time": t, "interval": h, "longest": FARTHEST * sample_time},
+        remedies=("begin anew after the gap, with `init`, or cut the log there", "check the clock"),
+    )
 
 
 def stability_limit(A: Array) -> float:

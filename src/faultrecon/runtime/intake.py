@@ -37,7 +37,7 @@ from numpy.typing import ArrayLike
 from faultrecon.finding import Finding, InputError
 from faultrecon.plant.plant import Plant
 from faultrecon.runtime.intake_counts import Counts, Flag, findings
-from faultrecon.runtime.intake_order import Index, Rows, Waiting, arranged, flushed
+from faultrecon.runtime.intake_order import Fates, Index, Rows, Waiting, arranged, flushed
 from faultrecon.runtime.intake_watch import Flags, Seen, Watch, Watching
 from faultrecon.runtime.samples import Array
 
@@ -49,8 +49,9 @@ class Taken:
     """Rows ready for the estimator: t (N,) strictly increasing, u (N, m), y (N, p), NaN where a value is of no use.
 
     flags_u (N, m), flags_y (N, p): `Flag` of each value.  lacking (N,): rows that should have come before each.
-    arrival (N,): which row brought the time, counted from 0 since `init`.  counts: what became of what came.  Where
-    nothing was to change the arrays may be those that were given: do not write to either.
+    arrival (N,): which row brought the time, counted from 0 since `init`.  fates (K,): `Fate` of each row that was
+    given, in the order in which they arrived; those that are to be passed on may still wait.  counts: what became of
+    what came.  Where nothing was to change the arrays may be those that were given: do not write to either.
     """
 
     t: Array
@@ -60,6 +61,7 @@ class Taken:
     flags_y: Flags
     lacking: Array
     arrival: Index
+    fates: Fates
     counts: Counts
 
     def __len__(self) -> int:
@@ -212,13 +214,11 @@ class Intake:
         """
         first = state.waiting.received
         rows = _rows(t, u, y, (len(self.u), len(self.y)), first)
-        waiting, ready, counts = arranged(state.waiting, rows, self.reorder, self.leap)
-        return self._judged(state, waiting, ready, counts)
+        return self._judged(state, *arranged(state.waiting, rows, self.reorder, self.leap))
 
     def flush(self, state: IntakeState) -> tuple[IntakeState, Taken]:
         """All rows that still wait: nothing more is expected.  What comes later than this may still be taken in."""
-        waiting, ready, counts = flushed(state.waiting)
-        return self._judged(state, waiting, ready, counts)
+        return self._judged(state, *flushed(state.waiting), np.empty(0, dtype=np.int8))
 
     def whole(self, t: ArrayLike, u: ArrayLike, y: ArrayLike) -> Taken:
         """A whole recording at once."""
@@ -230,7 +230,9 @@ class Intake:
         """What somebody should know about the samples that came; () when all is well."""
         return findings(counts, self.names, self.sample_time, self.reorder)
 
-    def _judged(self, state: IntakeState, waiting: Waiting, ready: Rows, counts: Counts) -> tuple[IntakeState, Taken]:
+    def _judged(
+        self, state: IntakeState, waiting: Waiting, ready: Rows, counts: Counts, fates: Fates
+    ) -> tuple[IntakeState, Taken]:
         """Ordered rows with each value judged."""
         lacking = self._lacking(state.waiting.left, ready.t)
         watching_u, watching_y = self._watching
@@ -247,7 +249,7 @@ class Intake:
             saturated=tuple(tally[Flag.SATURATED]),
             frozen=tuple(tally[Flag.FROZEN]),
         )
-        taken = Taken(ready.t, u, y, flags_u, flags_y, lacking, ready.arrival, counts)
+        taken = Taken(ready.t, u, y, flags_u, flags_y, lacking, ready.arrival, fates, counts)
         return IntakeState(waiting, seen_u, seen_y, state.counts + counts), taken
 
     def _lacking(self, before: float, t: Array) -> Array:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from enum import IntEnum
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +18,17 @@ from faultrecon.runtime.intake_counts import Counts
 from faultrecon.runtime.samples import Array
 
 Index = NDArray[np.int64]
+Fates = NDArray[np.int8]
+
+
+class Fate(IntEnum):
+    """What becomes of a row, known as soon as it has arrived."""
+
+    PASSED = 0  # it is passed on: now, or when no older one is waited for any more
+    MERGED = 1  # it brought something of a time that waits, whose row it is now part of
+    DUPLICATE = 2  # it brought nothing new
+    LATE = 3  # what is as new or newer has been passed on
+    BAD_TIME = 4  # its time is not finite, or not believed
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -65,23 +77,25 @@ class Rows:
         return Rows(t, u, y, np.concatenate((first.arrival, self.arrival)))
 
 
-def arranged(before: Waiting, rows: Rows, reorder: float, leap: float) -> tuple[Waiting, Rows, Counts]:
-    """The rows that leave now that `rows` have arrived, and what still waits."""
+def arranged(before: Waiting, rows: Rows, reorder: float, leap: float) -> tuple[Waiting, Rows, Counts, Fates]:
+    """What still waits now that `rows` (N,) have arrived, what leaves, and what becomes of each arrival, (N,)."""
     received = len(rows.t)
     m, p = rows.u.shape[1], rows.y.shape[1]
-    counts = replace(Counts.none(m + p), received=received)
+    counts, fates = replace(Counts.none(m + p), received=received), np.zeros(received, dtype=np.int8)
     before = replace(before, received=before.received + received)
     if received and _in_order(before.newest, rows.t, leap):
         waiting = Rows(before.t, before.u, before.y, before.arrival)
         before = replace(before, newest=float(rows.t[-1]), doubted=math.nan)
-        return _parted(before, rows.after(waiting), reorder, counts)
+        return *_parted(before, rows.after(waiting), reorder, counts), fates
     believed, doubted = _believed(before.newest, before.doubted, rows.t, leap)
     rows = rows if believed.all() else rows[np.flatnonzero(believed)]
     counts = replace(counts, bad_time=received - len(rows.t))
+    fates[~believed] = Fate.BAD_TIME
     before = replace(before, doubted=doubted)
     if not len(rows.t):
-        return before, rows, counts
-    return _sorted_in(before, rows, reorder, counts)
+        return before, rows, counts, fates
+    after, out, counts, fates[believed] = _sorted_in(before, rows, reorder, counts)
+    return after, out, counts, fates
 
 
 def flushed(before: Waiting) -> tuple[Waiting, Rows, Counts]:
@@ -122,7 +136,7 @@ def _believed(newest: float, doubted: float, t: Array, leap: float) -> tuple[NDA
     return believed, doubted
 
 
-def _sorted_in(before: Waiting, rows: Rows, reorder: float, counts: Counts) -> tuple[Waiting, Rows, Counts]:
+def _sorted_in(before: Waiting, rows: Rows, reorder: float, counts: Counts) -> tuple[Waiting, Rows, Counts, Fates]:
     """Rows of any order, with finite times, put among those that wait."""
     t, m = rows.t, rows.u.shape[1]
     newest = np.maximum.accumulate(np.concatenate(([before.newest], t)))
@@ -132,12 +146,18 @@ def _sorted_in(before: Waiting, rows: Rows, reorder: float, counts: Counts) -> t
     times = np.concatenate((before.t, t[punctual]))
     order = np.argsort(times, kind="stable")
     values = np.concatenate((np.hstack([before.u, before.y]), x[punctual]))[order]
-    together, met = _met(times[order], values, np.concatenate((before.arrival, rows.arrival[punctual]))[order], m)
+    arrival = np.concatenate((before.arrival, rows.arrival[punctual]))[order]
+    together, met, of_sorted = _met(times[order], values, arrival, m)
     counts += replace(met, reordered=int(np.count_nonzero(punctual & (t < newest[:-1]))))
+    fates = np.empty(len(t), dtype=np.int8)
+    unsorted = np.empty(len(order), dtype=np.int8)
+    unsorted[order] = of_sorted
+    fates[punctual] = unsorted[len(before.t) :]
     if not punctual.all():
         late = np.flatnonzero(~punctual)
-        counts += _too_late(before, together, t[late], x[late], left[late], newest[:-1][late])
-    return _parted(replace(before, newest=float(newest[-1])), together, reorder, counts)
+        lost, fates[late] = _too_late(before, together, t[late], x[late], left[late], newest[:-1][late])
+        counts += lost
+    return *_parted(replace(before, newest=float(newest[-1])), together, reorder, counts), fates
 
 
 def _left(before: Waiting, t: Array, leaves: Array) -> Array:
@@ -155,12 +175,15 @@ def _left(before: Waiting, t: Array, leaves: Array) -> Array:
     return np.maximum.accumulate(np.concatenate(([before.left], gone[: count - 1])))
 
 
-def _met(t: Array, x: Array, arrival: Index, m: int) -> tuple[Rows, Counts]:
-    """Sorted rows with those of one time made one: the first value of every channel stays.  t (R,), x (R, m+p)."""
+def _met(t: Array, x: Array, arrival: Index, m: int) -> tuple[Rows, Counts, Fates]:
+    """Sorted rows with those of one time made one: the first value of every channel stays.  t (R,), x (R, m+p).
+
+    Fates (R,), of the rows as they were given.
+    """
     none = Counts.none(x.shape[1])
     heads = np.flatnonzero(np.concatenate((t[:1] == t[:1], t[1:] != t[:-1])))
     if len(heads) == len(t):
-        return Rows(t, x[:, :m], x[:, m:], arrival), none
+        return Rows(t, x[:, :m], x[:, m:], arrival), none, np.zeros(len(t), dtype=np.int8)
     rows, came = len(t), ~np.isnan(x)
     own = np.arange(rows)[:, None]
     first = np.minimum.reduceat(np.where(came, own, rows), heads, axis=0)  # which row of the group has it first
@@ -177,10 +200,12 @@ def _met(t: Array, x: Array, arrival: Index, m: int) -> tuple[Rows, Counts]:
         duplicates=rows - len(heads) - merged,
         conflicts=tuple(np.count_nonzero(other, axis=0).tolist()),
     )
-    return Rows(t[heads], filled[:, :m], filled[:, m:], arrival[heads]), counts
+    fates = np.where(brings, Fate.MERGED, Fate.DUPLICATE).astype(np.int8)
+    fates[heads] = Fate.PASSED
+    return Rows(t[heads], filled[:, :m], filled[:, m:], arrival[heads]), counts, fates
 
 
-def _too_late(before: Waiting, together: Rows, t: Array, x: Array, left: Array, newest: Array) -> Counts:
+def _too_late(before: Waiting, together: Rows, t: Array, x: Array, left: Array, newest: Array) -> tuple[Counts, Fates]:
     """Rows (L,) that found their time gone; one that repeats what has just left is a duplicate, the others are lost."""
     gone = np.tile(np.concatenate((before.last_u, before.last_y)), (len(t), 1))
     where = np.searchsorted(together.t, t)
@@ -191,13 +216,14 @@ def _too_late(before: Waiting, together: Rows, t: Array, x: Array, left: Array, 
     repeats = echo & ~other.any(axis=1)
     with np.errstate(over="ignore"):
         behind = (newest - t)[~repeats]
-    return replace(
+    counts = replace(
         Counts.none(x.shape[1]),
         duplicates=int(np.count_nonzero(repeats)),
         late=int(np.count_nonzero(~repeats)),
         lateness=float(np.max(behind, initial=0.0)),
         conflicts=tuple(np.count_nonzero(other & ~np.isnan(gone) & echo[:, None], axis=0).tolist()),
     )
+    return counts, np.where(repeats, Fate.DUPLICATE, Fate.LATE).astype(np.int8)
 
 
 def _parted(before: Waiting, rows: Rows, reorder: float, counts: Counts) -> tuple[Waiting, Rows, Counts]:

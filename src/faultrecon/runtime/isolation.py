@@ -24,7 +24,7 @@ from faultrecon.numerics.peaks import gains
 from faultrecon.plant.fault import FaultChannel
 from faultrecon.plant.plant import Plant
 from faultrecon.runtime.errors import ErrorSystem
-from faultrecon.runtime.watch import Watch
+from faultrecon.runtime.watch import Findings, Watch
 
 Array = NDArray[Any]
 
@@ -45,14 +45,15 @@ class Isolation:
     first: Array
     begins: Array
 
-    def ask(self, shares: Array, peaks: Array, amplitudes: Array) -> Array:
+    def ask(self, found: Findings) -> tuple[Array, NDArray[np.bool_]]:
         """How badly each hypothesis fits at N samples, (N, hypotheses): its worst test in bounds; above 1 it is out.
 
-        shares (N, tests), peaks (N, watches): the largest share of each watch.  amplitudes (N, faults).
+        And where any test fails at all, (N, 1).
         """
-        out = np.empty((len(shares), self.first.shape[1] - 1))
-        _compiled()(shares, peaks, amplitudes, self.excuse, self.first, self.begins, out)
-        return out
+        hypotheses = self.first.shape[1] - 1
+        out = np.empty((len(found.peak), hypotheses + 1))
+        _compiled()(found.shares, found.peak, found.amplitude, self.excuse, self.first, self.begins, out)
+        return out[:, :hypotheses], out[:, hypotheses:] > 1.0
 
 
 def isolation(watches: Sequence[Watch], systems: Sequence[ErrorSystem], hypotheses: Sequence[Plant]) -> Isolation:
@@ -111,13 +112,25 @@ def _compiled() -> Callable[..., Any]:
 
 
 def _ask(shares: Array, peaks: Array, amplitudes: Array, excuse: Array, first: Array, begins: Array, out: Array) -> int:
-    """One pass over the samples; `out` is written.  A watch all of whose tests hold need not be asked in detail."""
-    for k in range(shares.shape[0]):
-        for h in range(first.shape[1] - 1):
-            worst = 0.0
-            for g in range(begins.shape[1] - 1):
+    """One pass over the samples; `out` is written, its last column with the worst of all tests.
+
+    A watch all of whose tests hold need not be asked in detail.
+    """
+    hypotheses, watches = first.shape[1] - 1, begins.shape[1] - 1
+    for k in range(peaks.shape[0]):
+        worst, held = 0.0, 0.0  # of all watches, and of those whose tests all hold
+        for g in range(watches):
+            peak = peaks[k, g]
+            worst = peak if peak > worst else worst
+            held = peak if held < peak <= 1.0 else held
+        for h in range(hypotheses + 1):
+            out[k, h] = worst
+        if worst <= 1.0:
+            continue
+        for h in range(hypotheses):
+            worst = held
+            for g in range(watches):
                 if peaks[k, g] <= 1.0:
-                    worst = max(worst, peaks[k, g])
                     continue
                 for test in range(int(begins[0, g]), int(begins[0, g + 1])):
                     share = shares[k, test]

@@ -164,6 +164,7 @@ class Monitor:
         now = Counts(looked.failed, looked.misfit > 1.0, looked.faded > 0.0, self._heard(y))
         counts, verdicts = counted(self.rules, state.counts, now)
         standing, changes = self._decider.decide(state.standing, verdicts)
+        doubt = self._untested(verdicts.ready, doubt)
         mode, named = _spread(state.standing, changes, len(t))
         reach = _reach(state.standing, changes, self.hypotheses)
         held, corrected, quality = self.correction.apply(state.held, t, y, mode, named, reach, looked.traces, doubt)
@@ -221,6 +222,16 @@ class Monitor:
         misfit, failed = self.isolation.ask(found)
         bounds = [part.bound for part in parts]
         return _Looked(traces, tuple(live), failed, misfit, found.own, found.nis, found.faded, bounds)
+
+    def _untested(self, ready: NDArray[np.bool_], doubt: NDArray[np.bool_] | None) -> NDArray[np.bool_] | None:
+        """Readings that are doubted, with those of sensors whose own hypothesis is not tested: who would tell?"""
+        if ready.all():
+            return doubt
+        found = np.zeros((len(ready), self.plant.p), dtype=bool) if doubt is None else doubt.copy()
+        for i in self.singles.values():
+            for sensor in self.hypotheses[i].reached:
+                found[:, sensor] |= ~ready[:, i]
+        return found
 
     def _heard(self, y: Array) -> NDArray[np.bool_]:
         """Where the sensors that each hypothesis calls faulty say something, (N, hypotheses)."""

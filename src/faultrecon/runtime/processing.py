@@ -8,7 +8,7 @@ between, from `pack` to `unpack`.  They are the rows that `Estimator.replay` giv
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any, Protocol, TypeVar
 
 import numpy as np
@@ -18,9 +18,22 @@ from faultrecon.finding import InputError
 from faultrecon.runtime.estimator import WORTHWHILE, Estimator
 from faultrecon.runtime.samples import Array, Mask, State, checked_log, columns
 
-FARTHEST = 1e7  # sample times between two samples: a day at 10 ms, and two minutes of work to cross for a nonlinear one
 S = TypeVar("S")
 Columns = dict[str, NDArray[Any]]
+
+
+@dataclass(frozen=True, eq=False)
+class Answers:
+    """Rows out, and which samples they are of, by the order in which those were taken: the first one is number 0.
+
+    rows: N of them, as `take` gives them; of (N,): the sample of each.  first: the number of the first sample that was
+    given; aside: those given that will have no row of their own, each with the reason, which begins with a word.
+    """
+
+    rows: Columns
+    of: NDArray[np.int64]
+    first: int
+    aside: Mapping[int, str] = field(default_factory=dict)
 
 
 class Processor(Protocol[S]):
@@ -49,6 +62,14 @@ class Processor(Protocol[S]):
 
     def finish(self, state: S) -> Columns:
         """The rows that were waiting for later samples."""
+        ...
+
+    def answer(self, state: S, t: Array, u: Array, y: Array) -> tuple[S, Answers]:
+        """What `take` does, with what became of each sample; one that is refused has no number."""
+        ...
+
+    def rest(self, state: S) -> tuple[S, Answers]:
+        """What `finish` does, with the samples the rows are of, and the state after them."""
         ...
 
     def pack(self, state: S) -> dict[str, Any]:
@@ -110,26 +131,25 @@ class Reconstruction:
     def take(self, state: Standing, t: Array, u: Array, y: Array) -> tuple[Standing, Columns]:
         t, u, y = checked_log(t, u, y, *self._sizes)
         before = state.t[-1] if len(state.t) else state.last.t
-        with np.errstate(over="ignore"):  # two finite times may be infinitely far apart
-            steps = np.diff(t, prepend=before)  # NaN before the first sample of all
-        if len(t) and steps[0] <= 0:
+        if len(t) and t[0] <= before:  # before the first sample of all it is NaN
             raise InputError(
                 f"the sample at t = {t[0]:g} s follows the one at {before:g} s",
                 why="time must increase from sample to sample",
                 remedies=("drop late and repeated samples",),
             )
-        if (steps > FARTHEST * self.estimator.sample_time).any():
-            k = int(np.argmax(steps > FARTHEST * self.estimator.sample_time))
-            raise InputError(
-                f"the sample at t = {t[k]:g} s comes {steps[k]:.3g} s after the one before it",
-                why=f"after {FARTHEST:.0g} sample times nothing of what was known is worth carrying on",
-                remedies=("begin anew after the gap", "check the clock"),
-            )
         return self._advanced(state, t, u, y, final=False)
 
     def finish(self, state: Standing) -> Columns:
+        return self.rest(state)[1].rows
+
+    def answer(self, state: Standing, t: Array, u: Array, y: Array) -> tuple[Standing, Answers]:
+        after, rows = self.take(state, t, u, y)
+        return after, self._answers(state, rows)
+
+    def rest(self, state: Standing) -> tuple[Standing, Answers]:
         nothing = np.empty((0, self._sizes[0])), np.empty((0, self._sizes[1]))
-        return self._advanced(state, np.empty(0), *nothing, final=True)[1]
+        after, rows = self._advanced(state, np.empty(0), *nothing, final=True)
+        return after, self._answers(state, rows)
 
     def pack(self, state: Standing) -> dict[str, Any]:
         waiting = {"t": state.t, "u": state.u, "y": state.y}
@@ -149,6 +169,11 @@ class Reconstruction:
         return Standing(State(row, self.estimator._layout), bool(compiled), t, u, y)
 
     # ------------------------------------------------------------ the work
+
+    def _answers(self, before: Standing, rows: Columns) -> Answers:
+        """Each sample has its row, in their order; those in waiting come first."""
+        done = before.last.samples
+        return Answers(rows, np.arange(done, done + len(rows["t"])), done + len(before.t))
 
     @property
     def _sizes(self) -> tuple[int, int]:
@@ -199,7 +224,8 @@ def _plain(estimator: Estimator, last: State, t: Array, u: Array, y: Array) -> M
     """The samples that the compiled engine can take, (N,); they follow `last`, which has been through one or more."""
     complete = np.asarray(np.isfinite(y).all(axis=1))
     plain = complete & np.isfinite(u).all(axis=1)
-    plain &= estimator._general.is_regular(np.diff(t, prepend=last.t), t)
+    with np.errstate(over="ignore"):  # two finite times may be infinitely far apart
+        plain &= estimator._general.is_regular(np.diff(t, prepend=last.t), t)
     if estimator.hold == "left":
         plain &= np.concatenate(([not last.missing.any()], complete[:-1]))
     return plain

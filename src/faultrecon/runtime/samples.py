@@ -262,7 +262,7 @@ def checked_log(t: ArrayLike, u: ArrayLike, y: ArrayLike, m: int, p: int) -> tup
     for (name, shape), given in zip(wanted.items(), (t, u, y), strict=True):
         if given.shape != shape:
             raise InputError(f"{name} is {given.shape}", why=f"this observer and {N} times ask for {shape}")
-    wrong = np.flatnonzero(~(np.diff(t) > 0)) if np.isfinite(t).all() else np.flatnonzero(~np.isfinite(t)) - 1
+    wrong = np.flatnonzero(~(t[1:] > t[:-1])) if np.isfinite(t).all() else np.flatnonzero(~np.isfinite(t)) - 1
     if wrong.size:
         k = int(wrong[0]) + 1
         raise InputError(

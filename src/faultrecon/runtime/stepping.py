@@ -204,13 +204,14 @@ class Stepper:
         end = v1.copy()
         m = self.observer.inputs
         end[m:][self.gone] = v0[m:][self.gone]
-        middle = 0.5 * (v0 + end)
-        for i, matrices in enumerate(packed):
-            if self.hold == "linear":
-                va, vb = v0 + (end - v0) * (i / parts), v0 + (end - v0) * ((i + 1) / parts)
-            else:
-                va = vb = v0 if self.hold == "left" else middle
-            z = call(self.irregular, [z, np.array([t + h * i / parts, h / parts]), va, vb, matrices], nz)
+        middle = 0.5 * v0 + 0.5 * end
+        with np.errstate(over="ignore", invalid="ignore"):  # of values near the largest number there is
+            for i, matrices in enumerate(packed):
+                if self.hold == "linear":
+                    va, vb = v0 + (end - v0) * (i / parts), v0 + (end - v0) * ((i + 1) / parts)
+                else:
+                    va = vb = v0 if self.hold == "left" else middle
+                z = call(self.irregular, [z, np.array([t + h * i / parts, h / parts]), va, vb, matrices], nz)
         return call(self.settle, [z, v0, v1, moves], len(s))
 
     def pack(self, h: float) -> Array:

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -12,11 +12,21 @@ from numpy.typing import NDArray
 
 from faultrecon.finding import InputError
 from faultrecon.runtime.intake import Intake, IntakeState, Taken
-from faultrecon.runtime.intake_counts import Counts
+from faultrecon.runtime.intake_counts import Counts, Flag
+from faultrecon.runtime.intake_order import Fate
 from faultrecon.runtime.monitor import Monitor, MonitorState
+from faultrecon.runtime.processing import Answers, Columns
 from faultrecon.storage.hashing import canonical_digest
 
 Array = NDArray[Any]
+
+ASIDE = {
+    Fate.MERGED: "merged: its values are in the row of the sample of the same time that came first",
+    Fate.DUPLICATE: "duplicate: it brings nothing new to its time",
+    Fate.LATE: "late: this time or a later one has been passed on; a larger reorder lets samples wait",
+    Fate.BAD_TIME: "no time: it is absent, infinite or far ahead of all others",
+}
+"""Why a sample has no row of its own."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,8 +67,8 @@ class Supervision:
         self, state: SupervisionState, t: Array, u: Array, y: Array
     ) -> tuple[SupervisionState, dict[str, NDArray[Any]]]:
         """Rows in the order in which they arrived; those that wait come out later."""
-        before, taken = self.intake.take(state.intake, t, u, y)
-        return self._on(SupervisionState(before, state.monitor), taken)
+        after, taken = self.intake.take(state.intake, t, u, y)
+        return self._on(state, after, taken)
 
     def finish(self, state: SupervisionState) -> dict[str, NDArray[Any]]:
         """The rows that were waiting for later ones."""
@@ -67,11 +77,43 @@ class Supervision:
     def end(self, state: SupervisionState) -> tuple[SupervisionState, dict[str, NDArray[Any]]]:
         """The same, with the state after them."""
         after, taken = self.intake.flush(state.intake)
-        return self._on(SupervisionState(after, state.monitor), taken)
+        return self._on(state, after, taken)
 
-    def _on(self, state: SupervisionState, taken: Taken) -> tuple[SupervisionState, dict[str, NDArray[Any]]]:
-        monitor, rows = self.monitor.take(state.monitor, taken.t, taken.u, taken.y)
-        return SupervisionState(state.intake, monitor), rows
+    def answer(self, state: SupervisionState, t: Array, u: Array, y: Array) -> tuple[SupervisionState, Answers]:
+        """The same as `take`, with what became of each sample."""
+        after, taken = self.intake.take(state.intake, t, u, y)
+        first = state.counts.received
+        aside = {first + int(k): ASIDE[Fate(taken.fates[k])] for k in np.flatnonzero(taken.fates)}
+        there, rows = self._on(state, after, taken)
+        return there, Answers(rows, taken.arrival, first, aside)
+
+    def rest(self, state: SupervisionState) -> tuple[SupervisionState, Answers]:
+        """The same as `end`, with the samples that the rows are of; one that the monitor refuses is set aside."""
+        after, taken = self.intake.flush(state.intake)
+        first = state.counts.received
+        try:
+            there, rows = self._on(state, after, taken)
+            return there, Answers(rows, taken.arrival, first)
+        except InputError:  # one too far ahead of all others, say, which is no fault of theirs
+            there, pieces, of, aside = state, [self.monitor.finish(state.monitor)], [], {}
+        for k, arrival in enumerate(taken.arrival.tolist()):
+            try:
+                there, row = self._on(there, after, taken, slice(k, k + 1))
+            except InputError as refused:
+                aside[arrival] = f"refused: {refused}"
+                continue
+            pieces.append(row)
+            of.append(arrival)
+        there = SupervisionState(after, there.monitor)
+        return there, Answers(_joined(pieces), np.array(of, dtype=np.int64), first, aside)
+
+    def _on(
+        self, state: SupervisionState, after: IntakeState, taken: Taken, part: slice = slice(None)
+    ) -> tuple[SupervisionState, Columns]:
+        """The monitor over what the intake passes on, or a part of it."""
+        frozen = taken.flags_y[part] == Flag.FROZEN
+        monitor, rows = self.monitor.take(state.monitor, taken.t[part], taken.u[part], taken.y[part], frozen)
+        return SupervisionState(after, monitor), rows
 
     def pack(self, state: SupervisionState) -> dict[str, Any]:
         """The state as plain values and arrays, for a checkpoint."""
@@ -89,4 +131,8 @@ def whole(supervision: Supervision, t: Array, u: Array, y: Array) -> tuple[Super
     """A whole log at once."""
     state, rows = supervision.take(supervision.start(), t, u, y)
     state, rest = supervision.end(state)
-    return state, {name: np.concatenate([rows[name], rest[name]]) for name in rows}
+    return state, _joined([rows, rest])
+
+
+def _joined(pieces: Sequence[Columns]) -> Columns:
+    return {name: np.concatenate([piece[name] for piece in pieces]) for name in pieces[0]}

@@ -26,12 +26,13 @@ from faultrecon.runtime.watchrest import FAR, GONE, add, begin_anew, fade, fall_
 
 Array = NDArray[Any]
 
-SETTLED = 1.0  # bounds: an error of whose start more is left is not tested; less widens the tests by as much
+SETTLED = 4.0  # bounds: an error of whose start more is left is not tested; less widens the tests by as much
 CUT = 10.0  # bounds: where a residual is cut off before it is averaged
+FAST = 0.5  # sample times: samples closer to the one before are not tested, as tests are made for the sample time
 TILE = 128  # samples whose errors are computed together
 NOTHING, LITTLE, MUCH = 0, 1, 2  # what is left of the start
 
-CONSTANTS = {"SETTLED": SETTLED, "CUT": CUT, "FAR": FAR, "GONE": GONE, "TILE": TILE}
+CONSTANTS = {"SETTLED": SETTLED, "CUT": CUT, "FAR": FAR, "GONE": GONE, "FAST": FAST, "TILE": TILE}
 CONSTANTS |= {"NOTHING": NOTHING, "LITTLE": LITTLE, "MUCH": MUCH}
 
 
@@ -98,9 +99,10 @@ def pass_over(
                 fading_way(held, value, poles, limits, rate, top)
                 owing = owes(held, limits)
             else:
+                left = 4.0 * GONE + rest_of(held, scales, errors)
                 fade(held, scales, pace[1, k], rate)
                 if pace[2, k] != 1.0 or pace[0, k] != 0.0 or held[4 * scales + 4, errors] != 0.0:
-                    miss(held, scales, y[:, k], u[:, k], pace[0, k], diverges, anew, lost, skipped, unfed)
+                    miss(held, scales, y[:, k], u[:, k], pace[0, k], left, diverges, anew, lost, skipped, unfed)
                 faded[k, 0] = long_way(held, value, pace[0, k], pace[1, k], poles, cut, limits, q, top)
                 owing = owes(held, limits)
             largest = 0.0
@@ -263,6 +265,10 @@ def long_way(
             more = keeps * live[scales + s, e] + takes * rest
             live[scales + s, e] = more if more > GONE * takes else 0.0
             top[e] = max(top[e], share_of(live, s, e, limits))
+    if elapsed < FAST:
+        for e in range(value.shape[0]):
+            top[e] = 0.0
+        return 0.0
     return settled if heard > 0 or tested == 0 else 0.0
 
 

@@ -60,8 +60,10 @@ def begin_anew(live: Array, top: int, anew: Array) -> None:
             live[top + part, e] = max(live[top + part, e], anew[part, e])
 
 
-def fall_silent(live: Array, scales: int, y: Array, silent: int, diverges: Array, anew: Array, lost: Array) -> None:
-    """What the sensors that are silent add."""
+def fall_silent(
+    live: Array, scales: int, y: Array, silent: int, share: float, diverges: Array, anew: Array, lost: Array
+) -> None:
+    """What the sensors that are silent add, share times."""
     p, top, last, grows = y.shape[0], 4 * scales, live.shape[1] - 1, 0.0
     for i in range(p):
         if not math.isfinite(y[i]):
@@ -73,7 +75,6 @@ def fall_silent(live: Array, scales: int, y: Array, silent: int, diverges: Array
         if rest_of(live, scales, e) > largest:
             live[top, e], live[top + 1, e], live[top + 2, e], live[top + 3, e] = 0.0, largest, 0.0, 0.0
     for i in range(p):
-        share = 1.0 + 4.0 * GONE + rest_of(live, scales, last)
         if math.isfinite(y[i]) or add(live, top, lost, 2 * i, share):
             continue
         if grows > 0.0:
@@ -89,13 +90,17 @@ def miss(
     y: Array,
     u: Array,
     gap: float,
+    left: float,
     diverges: Array,
     anew: Array,
     lost: Array,
     skipped: Array,
     unfed: Array,
 ) -> None:
-    """What is added by rows that are missing, and by what this sample and the one before it lack."""
+    """What is added by rows that are missing, and by what this sample and the one before it lack.
+
+    left: of everything in ζ, at the sample before.
+    """
     top, last = 4 * scales, live.shape[1] - 1
     sensors, inputs, before = 0, 0, int(live[top + 4, last])
     for i in range(y.shape[0]):
@@ -109,10 +114,9 @@ def miss(
     if lacks == 3 or (lacks > 0 and before > 0 and before != lacks):
         known = False  # what sensors and inputs do to each other is not accounted for
     if known and gap > 0.0:
-        left = diverges[y.shape[0] + 1] * (4.0 * GONE + rest_of(live, scales, last))
-        known = add(live, top, skipped, row, 1.0 + left)
+        known = add(live, top, skipped, row, 1.0 + diverges[y.shape[0] + 1] * left)
     if sensors:
-        fall_silent(live, scales, y, sensors, diverges, anew, lost)
+        fall_silent(live, scales, y, sensors, 1.0 + left, diverges, anew, lost)
     for i in range(u.shape[0]):
         if not math.isfinite(u[i]):
             known = add(live, top, unfed, 2 * i, 1.0) and known

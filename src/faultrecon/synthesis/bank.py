@@ -9,7 +9,8 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
-from faultrecon.finding import FaultreconError, Finding, Impossible, InputError
+from faultrecon.finding import FaultreconError, Finding, Impossible, InputError, did_you_mean
+from faultrecon.methods.registry import method as method_named
 from faultrecon.plant.fault import FaultChannel
 from faultrecon.plant.plant import Plant
 from faultrecon.storage.hashing import canonical_digest
@@ -17,10 +18,12 @@ from faultrecon.synthesis.pipeline import design
 from faultrecon.synthesis.result import Design
 
 if TYPE_CHECKING:
+    from faultrecon.runtime.apart import Apart
     from faultrecon.runtime.monitor import Monitor
 
-SENSORS = "lipschitz-hinf"
-ACTUATORS = ("adaptive-uio", "euler-pi")
+SENSORS = ("lipschitz-hinf",)
+FOLLOWING = ("adaptive-uio", "euler-pi")  # actuators are followed, which takes a rate
+SAMPLED = ("euler-pi",)  # the one whose prediction is the map of a sampled plant; it follows sensors too
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,15 +52,30 @@ class Bank:
 
         return monitor_of(self, **options)
 
+    @cached_property
+    def apart(self) -> Apart | Finding:
+        """Which faults its monitor tells from which, and from which size on; why that is not known, where it is not."""
+        from faultrecon.runtime.apart import apart
+
+        try:
+            return apart(self)
+        except FaultreconError as error:
+            return error.finding
+
     def report(self) -> str:
-        """The hypotheses, a line each."""
-        lines = [f"bank for {self.plant.name}: {len(self.designs)} hypotheses besides 'all healthy'"]
+        """The hypotheses, a line each, and which of them are not told apart."""
+        count = f"{len(self.designs)} hypothes{'is' if len(self.designs) == 1 else 'es'}"
+        lines = [f"bank for {self.plant.name}: {count} besides 'all healthy'"]
         for name, made in self.designs.items():
             level = "no certificate" if made.level is None else f"γ {made.level:.4g}"
             found = made.verification
             lines.append(f"  {name}: {made.method}, {level}" + ("" if found is None else f", {found.verdict}"))
-        lines += [f"  {name}: no design; {finding}" for name, finding in self.refused.items()]
-        return "\n".join(lines)
+        reasons: dict[str, list[str]] = {}
+        for name, finding in self.refused.items():
+            reasons.setdefault(str(finding), []).append(name)
+        lines += [f"  {', '.join(names)}: no design; {why}" for why, names in reasons.items()]
+        apart = f"not known what it tells apart: {self.apart}" if isinstance(self.apart, Finding) else str(self.apart)
+        return "\n".join([*lines, *(f"  {line}" for line in apart.splitlines())])
 
     def as_dict(self) -> dict[str, Any]:
         """Plain values, for `--json`."""
@@ -65,6 +83,7 @@ class Bank:
             "plant": self.plant.name,
             "hypotheses": {name: made.as_dict() for name, made in self.designs.items()},
             "refused": {name: finding.as_dict() for name, finding in self.refused.items()},
+            "apart": self.apart.as_dict(),
         }
 
     def __repr__(self) -> str:
@@ -74,63 +93,135 @@ class Bank:
 def bank(
     plant: Plant,
     *,
+    faults: Sequence[str] | None = None,
     sensors: Sequence[str] | None = None,
-    actuators: Sequence[str] = (),
+    actuators: Sequence[str] | None = None,
     together: Sequence[Sequence[str]] = (),
     method: str = "",
+    backoff: float | None = None,
+    pole_bound: float | str | None = "auto",
     progress: Callable[[str], None] | None = None,
 ) -> Bank:
     """A design for each sensor that may fail, each actuator, and each set of faults named `together`.
 
-    sensors: names; all of them by default.  actuators: names of inputs.  together: sets of names that may act at once,
-    of sensors and of declared faults.  A fault that the plant declares on a sensor keeps its name, size and rate; any
-    other takes the sensor's name and range.  method: for sensors, "lipschitz-hinf" by default; actuators take the first
-    of "adaptive-uio" and "euler-pi" that has a design.  Hypotheses without a design are listed with the reason.
+    sensors: names; all of them by default.  actuators: names of inputs; by default those with a declared fault.
+    faults: names of declared faults, sensors and inputs: these alone, and what the other arguments name.  together:
+    sets of names that may act at once, of the same kinds.  A fault that the plant declares on a signal keeps
+    its name, size and rate; any other takes the signal's name and range.
+    method: for sensors, "lipschitz-hinf" by default; what has actuators takes the first of "adaptive-uio" and
+    "euler-pi" that has a design; on sampled plants everything takes "euler-pi".  These two follow a fault, which takes
+    a declared rate.  backoff, pole_bound: of every design, as in `design`.
+    Hypotheses without a design are listed with the reason.
     Raises InputError on unknown names, Impossible when no hypothesis has a design.
     """
     say = progress or (lambda name: None)
-    y, u = plant.signals.y, plant.signals.u
-    for name in sensors or ():
-        y.index(name)
-    for name in actuators:
-        u.index(name)
-    channels = {name: _channel(plant, name, "sensor") for name in (y.names if sensors is None else sensors)}
-    channels |= {name: _channel(plant, name, "actuator") for name in actuators}
-    sets: list[tuple[str, tuple[FaultChannel, ...]]] = [(channel.name, (channel,)) for channel in channels.values()]
-    for names in together:
-        members = tuple(channels.get(name) or _named(plant, name) for name in names)
-        sets.append((" + ".join(f.name for f in members), members))
+    if method:
+        method_named(method)  # raises on a name that there is not
+    sets = _hypotheses(plant, faults, sensors, actuators, together)
     made: dict[str, Design] = {}
     refused: dict[str, Finding] = {}
-    for name, faults in sets:
+    wrong: InputError | None = None
+    for name, members in sets.items():
         say(name)
         try:
-            made[name] = _designed(replace(plant, faults=faults), method)
+            chosen = replace(plant, faults=members)
+            _demand_rates(chosen)
+            made[name] = _designed(chosen, method, backoff=backoff, pole_bound=pole_bound)
         except FaultreconError as error:
             refused[name] = error.finding
+            wrong = wrong or (error if isinstance(error, InputError) else None)
     if not made:
-        first = next(iter(refused.values()), None)
-        raise Impossible(
-            f"no hypothesis about {plant.name} has a design",
-            why="" if first is None else str(first),
-            remedies=("see `faultrecon check` for what stands against each fault",),
-        )
+        if wrong is not None:
+            raise wrong
+        raise _nothing(plant, refused)
     every = {f.name: f for d in made.values() for f in d.plant.faults}
     return Bank(replace(plant, faults=tuple(every.values())), made, refused)
 
 
-def _designed(plant: Plant, method: str) -> Design:
+def _nothing(plant: Plant, refused: Mapping[str, Finding]) -> Impossible:
+    """What is left to say where every hypothesis is refused."""
+    if not refused:
+        return Impossible(f"no hypothesis about {plant.name} is asked for", remedies=("name a sensor or an actuator",))
+    why = {str(finding): finding for finding in refused.values()}
+    remedies = dict.fromkeys(remedy for finding in why.values() for remedy in finding.remedies)
+    return Impossible(
+        f"no hypothesis about {plant.name} has a design",
+        why="; ".join(f.what + (f": {f.why}" if f.why else "") for f in why.values()),
+        evidence={name: finding.what for name, finding in refused.items()},
+        remedies=tuple(remedies) or ("see `faultrecon check` for what stands against each fault",),
+    )
+
+
+def _hypotheses(
+    plant: Plant,
+    faults: Sequence[str] | None,
+    sensors: Sequence[str] | None,
+    actuators: Sequence[str] | None,
+    together: Sequence[Sequence[str]],
+) -> dict[str, tuple[FaultChannel, ...]]:
+    """The faults of every hypothesis, by its name."""
+    y, u = plant.signals.y, plant.signals.u
+    for name in sensors or ():
+        y.index(name)
+    for name in actuators or ():
+        u.index(name)
+    if sensors is None:
+        sensors = y.names if faults is None else ()
+    channels = {name: _channel(plant, name, "sensor") for name in sensors}
+    if actuators is not None:
+        channels |= {name: _channel(plant, name, "actuator") for name in actuators}
+    elif faults is None:
+        channels |= {f.name: f for f in plant.faults if f.site == "actuator" and f.effect == "additive"}
+    for name in faults or ():
+        channels |= {f.name: f for f in _of_fault(plant, name)}
+    sets: dict[str, tuple[FaultChannel, ...]] = {channel.name: (channel,) for channel in channels.values()}
+    for names in together:
+        members = tuple(channels.get(name) or _named(plant, name) for name in names)
+        sets[" + ".join(f.name for f in members)] = members
+    return sets
+
+
+def _demand_rates(plant: Plant) -> None:
+    """Raises Impossible where a fault has to be followed, and may go anywhere from one sample to the next."""
+    sampled = plant.sample_time is not None
+    missing = [f for f in plant.faults if math.isinf(f.rate) and (sampled or f.site == "actuator")]
+    if not missing:
+        return
+    names = " and ".join(f.name for f in missing)
+    kind = "a sampled plant" if sampled else "an actuator"
+    f = missing[0]
+    raise Impossible(
+        f"no rate is declared for {names}",
+        why=f"a fault of {kind} is followed by its observer; without a bound on its rate nothing bounds the error, and"
+        " a log could never be tested against it",
+        evidence={"without a rate": [f.name for f in missing]},
+        remedies=(
+            f'declare it: [[fault]] name = "{f.name}", {f.site} = "{next(iter(f.on))}", size = {f.size:g}, rate = ...'
+            " (how much it changes in a second, at most)",
+        ),
+    )
+
+
+def _designed(plant: Plant, method: str, **options: Any) -> Design:
     """With the method asked for, or with the first that has a design."""
-    sensors_only = all(f.site == "sensor" for f in plant.faults)
-    names = (method,) if method else (SENSORS,) if sensors_only else ACTUATORS
     refusal: FaultreconError | None = None
-    for name in names:
+    for name in _methods(plant, method):
         try:
-            return design(plant, name)
+            return design(plant, name, **options)
         except FaultreconError as error:
             refusal = refusal or error
     assert refusal is not None, "there is a method to try"
     raise refusal
+
+
+def _methods(plant: Plant, asked: str) -> tuple[str, ...]:
+    """What to try, in this order."""
+    if any(f.site == "actuator" for f in plant.faults):
+        following = FOLLOWING if plant.sample_time is None else SAMPLED
+        return (asked,) if asked in following else following
+    if asked:
+        return (asked,)
+    return SENSORS if plant.sample_time is None else SAMPLED
 
 
 def _channel(plant: Plant, name: str, site: str) -> FaultChannel:
@@ -152,6 +243,14 @@ def _channel(plant: Plant, name: str, site: str) -> FaultChannel:
     )
 
 
+def _of_fault(plant: Plant, name: str) -> list[FaultChannel]:
+    """A declared fault, a sensor or an input; one that multiplies counts as an additive one on each of its signals."""
+    found = _named(plant, name)
+    if found.effect == "additive":
+        return [found]
+    return [_channel(plant, on, found.site) for on in found.on]
+
+
 def _named(plant: Plant, name: str) -> FaultChannel:
     """A declared fault, or the one on a sensor of this name."""
     for fault in plant.faults:
@@ -161,5 +260,5 @@ def _named(plant: Plant, name: str) -> FaultChannel:
         return _channel(plant, name, "sensor")
     if name in plant.signals.u.names:
         return _channel(plant, name, "actuator")
-    known = (*(f.name for f in plant.faults), *plant.signals.y.names)
-    raise InputError(f"there is no fault and no sensor '{name}'", why=f"there are {', '.join(known)}")
+    known = dict.fromkeys([*(f.name for f in plant.faults), *plant.signals.y.names, *plant.signals.u.names])
+    raise InputError(f"there is no fault, no sensor and no input '{name}'", why=did_you_mean(name, known))

@@ -3,8 +3,10 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 
+from faultrecon.diagnosis.plausibility import oddities
 from faultrecon.finding import Finding
 from faultrecon.lmi.explain import explain
 from faultrecon.lmi.solve import Outcome
@@ -64,11 +66,26 @@ def no_answer(posed: Posed, outcome: Outcome) -> Finding:
 
 
 def no_proof(posed: Posed, rungs: Sequence[Rung]) -> Finding:
-    """Points were found and none of them could be proved, or none was found: not certified, with what refutes it."""
+    """Points were found and none of them could be proved, or none was found: not certified, with what refutes it.
+
+    Where every level that was tried is zero, sensors that count as exact are why, and nothing a solver says adds to it.
+    """
+    tried = Counter(map(str, rungs))
+    exact = next((f for f in oddities(posed.plant) if "sensors without a disturbance" in f.evidence), None)
+    what = f"{posed.method.name} found no gains for {posed.plant.name} that could be proved; nothing is certified"
+    see = f"Theorem {posed.theorem.number}"
+    if exact is not None and all(rung.level == 0.0 for rung in rungs):
+        why = f"{exact.what}; nothing that counts then limits the level, its optimum is 0, and no finite gains reach it"
+        return Finding(what, why, {"tried": list(tried), **exact.evidence}, exact.remedies, see)
     return Finding(
-        f"{posed.method.name} found no gains for {posed.plant.name} that could be proved; nothing is certified",
-        why="; ".join(str(rung) for rung in rungs),
+        what,
+        why="; ".join(rung + (f" ({times} times)" if times > 1 else "") for rung, times in tried.items()),
         evidence={"tried": [str(rung) for rung in rungs]},
-        remedies=("ask for a larger level", "declare signal ranges so that the problem is scaled", "relax pole_bound"),
-        see=f"Theorem {posed.theorem.number}",
+        remedies=(
+            *(() if exact is None else exact.remedies),
+            "ask for a larger level",
+            "declare signal ranges so that the problem is scaled",
+            "relax pole_bound",
+        ),
+        see=see,
     )
