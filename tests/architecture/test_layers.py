@@ -42,7 +42,7 @@ LONG_FILES: dict[str, str] = {}
 
 LONG_FUNCTIONS: dict[str, str] = {
     "synthesis/pipeline.py:design": "half is its signature and docstring; the order of the stages is one thought",
-    "runtime/watchloop.py:pass_over": "one pass over the samples, compiled as it stands: a call per sample and test costs",
+    "runtime/watchloop.py:pass_over": "one pass over the samples, compiled as it stands: a call per sample costs",
     "cli/app.py:design": "its signature is the command line",
     "cli/app.py:run": "its signature is the command line",
 }

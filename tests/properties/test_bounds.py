@@ -174,7 +174,7 @@ def watch_of(plant, estimator, allowance, spans=(10.0, 100.0)):
 
 
 def looked(watch, flight):
-    """Estimates, what the watch says about them, and the shares of all its tests where one is above 1 (N, scales, q + p)."""
+    """Estimates, what the watch says about them, and the shares of all its tests where one fails (N, scales, q + p)."""
     guess = watch.bounds.beginning.guess(flight.u[0], flight.y[0])
     trace = watch.estimator.replay(flight.t, flight.u, flight.y, x=guess)
     waits = np.diff(flight.t, prepend=flight.t[0] - watch.estimator.sample_time) / watch.estimator.sample_time

@@ -160,7 +160,6 @@ def check_file(folder, extension, kind, seed, rows=ROWS):
     )
 
 
-@pytest.mark.filterwarnings("ignore:overflow encountered in matmul")  # the square of 1e200, in a summary
 @pytest.mark.parametrize("extension", [".csv", ".parquet"])
 @settings(deadline=None, max_examples=70, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(seed=SEEDS, kind=BANKS)

@@ -184,6 +184,17 @@ def test_a_bank_is_known_by_its_kind_wherever_that_stands(files, tmp_path, call)
     assert read_bank(tmp_path / "sorted.json").digest == read_bank(files / "bank.json").digest
     code, out, _ = call("run", tmp_path / "sorted.json", files / "log.csv")
     assert code == 0 and "60 rows in" in out
+    assert call("verify", tmp_path / "sorted.json")[0] == 0
+
+
+def test_definitions_that_go_in_a_circle_are_refuted(files, tmp_path, call):
+    document = json.loads((files / "bank.json").read_text(encoding="utf-8"))
+    lets = document["designs"]["tacho"]["certificate"]["lets"]
+    first, second = list(lets)[:2]
+    lets[first], lets[second] = second, first
+    (tmp_path / "circle.json").write_text(json.dumps(document), encoding="utf-8")
+    code, out, _ = call("verify", tmp_path / "circle.json")
+    assert code == 1 and "is defined by itself" in out
 
 
 @pytest.mark.parametrize(

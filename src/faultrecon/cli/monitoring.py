@@ -49,6 +49,7 @@ def make_bank(
     if out is not None:
         write_bank(made, out)
     where = f"\nwrote {out}" if out is not None else "\nnothing written; add --out bank.json"
+    say("what is told apart")
     return made.as_dict() | {"written": None if out is None else str(out)}, made.report() + where
 
 

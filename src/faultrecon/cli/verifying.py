@@ -41,7 +41,7 @@ def _of_bank(file: str, document: Mapping[str, Any]) -> tuple[bool, dict[str, An
         sound, data[name], _ = _of_design(certificate)
         lines.append(f"{name:{width}}  {data[name]['verdict']}: γ = {certificate.level:.9g}; {certificate.claim}")
         bad = [step for step in data[name]["steps"] if step["verdict"] == "refuted"]
-        lines += [f"  {'':{width}}{step['label']}: {step['how']}" for step in bad]
+        lines += [f"{'':{width}}    {step['label']}: {step['how']}" for step in bad]
         refuted += [] if sound else [name]
     lines.append(f"refuted: {', '.join(refuted)}" if refuted else f"{len(certificates)} designs, none refuted")
     return not refuted, {"designs": data, "refuted": refuted}, "\n".join(lines)

@@ -81,7 +81,8 @@ class Tally:
         for name, values in rows.items():
             if name.startswith("f_") and values.dtype.kind == "f":
                 sizes = np.abs(values[np.isfinite(values)])
-                squares[name] = squares.get(name, 0.0) + float(sizes @ sizes)
+                with np.errstate(over="ignore"):  # of an estimate that was led astray
+                    squares[name] = squares.get(name, 0.0) + float(sizes @ sizes)
                 largest[name] = max(largest.get(name, 0.0), float(sizes.max(initial=0.0)))
                 known[name] = known.get(name, 0) + len(sizes)
         flags = [values for name, values in rows.items() if name.endswith("_ok") and values.dtype.kind == "b"]

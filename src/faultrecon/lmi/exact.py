@@ -313,18 +313,23 @@ def largest_bits(a: Dyadic) -> int:
 
 
 def letters_from(data: Mapping[str, Dyadic], lets: Mapping[str, Any], algebra: DyadicAlgebra) -> dict[str, Dyadic]:
-    """All letters of a statement: the data, then each definition in the order given."""
-    known = dict(data)
+    """All letters of a statement: the data, and each definition, whatever their order in the file."""
+    known, begun = dict(data), set[str]()
 
     def look(name: str) -> Dyadic:
         if name not in known:
-            raise ExactError(f"the letter {name} is not defined before it is used")
+            if name not in lets:
+                raise ExactError(f"the letter {name} is not defined")
+            if name in begun:
+                raise ExactError(f"the letter {name} is defined by itself")
+            begun.add(name)
+            known[name] = read_tree(lets[name], look, algebra)
+            if largest_bits(known[name]) > LONGEST:
+                raise ExactError(f"the numbers of {name} grow beyond {LONGEST} bits")
         return known[name]
 
-    for name, tree in lets.items():
-        if name in known:
+    for name in lets:
+        if name in data:
             raise ExactError(f"the letter {name} is defined twice")
-        known[name] = read_tree(tree, look, algebra)
-        if largest_bits(known[name]) > LONGEST:
-            raise ExactError(f"the numbers of {name} grow beyond {LONGEST} bits")
+        look(name)
     return known

@@ -133,5 +133,6 @@ def _sample_time(bank: Bank, given: float | None) -> float:
     if own:
         return float(min(t for t in own if t is not None))
     if bank.plant.noise is None:
-        raise InputError("no sample time is known", remedies=("pass sample_time=... in seconds",))
+        remedies = ("pass sample_time=... in seconds", "declare [noise] with its hold time in the plant file")
+        raise InputError("no sample time is known", remedies=remedies)
     return bank.plant.noise.hold

@@ -7,10 +7,10 @@ more often than 2/window times the chance of one sample to lie outside, whatever
 one wild sample never decides anything.
 
 A hypothesis that is not rejected explains the samples, tested or not: silence and a start that is not over refute
-nothing.  Only one that has been tested for a window is named, so one that has just begun never looks best.
+nothing.  Only one that was tested in at least half of a window is named, so one that has just begun never looks best.
 
 - `fault(name)`: "all healthy" is contradicted, and of the hypotheses with the fewest faults this one alone is not
-  rejected, which has been so for `window` samples; and it has been tested for a window.
+  rejected, which has been so for `window` samples; and it is tested.
 - `suspect`: "all healthy" is contradicted, and several explain it, or one for not long enough, or none.
 - `out_of_envelope`: for `patience` windows nothing has explained it: the plant is not the model, or bounds are broken.
 - `recovering`: no test has failed for a window since a fault was named, and its sensor was heard; after two more
@@ -61,8 +61,8 @@ class Verdicts:
     """What the tests say over N samples.
 
     contradicted, quiet (N, 1): "all healthy" does not hold; no test has failed for a window.  rejected, ready, heard
-    (N, hypotheses): it does not explain the samples; it has been tested for a window; the sensors it calls faulty were
-    heard in at least half of it.
+    (N, hypotheses): it does not explain the samples; it was tested, and the sensors it calls faulty were heard,
+    in at least half of a window.
     """
 
     contradicted: Array

@@ -5,13 +5,17 @@ A test that fails contradicts "all is well".  It contradicts a hypothesis too, u
 could have made it fail: by the peak gain from fault to test times how large the hypothesis itself says the fault has
 been, error of the estimate included.  So an observer made for one sensor also rules out explanations of others, and
 what has no effect on a test can never excuse it.
+
+A fault that acts at the first sample has also misled where each observer began.  What that does to a test is over after
+a while, which is known beforehand: until then the observer is not asked about explanations with that fault.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import cache, cached_property
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -24,36 +28,51 @@ from faultrecon.numerics.peaks import gains
 from faultrecon.plant.fault import FaultChannel
 from faultrecon.plant.plant import Plant
 from faultrecon.runtime.errors import ErrorSystem
+from faultrecon.runtime.steps import observer_step
 from faultrecon.runtime.watch import Findings, Watch
 
 Array = NDArray[Any]
 
-SIGNATURE = "table, table, table, table, table, table, into"
+SIGNATURE = "table, table, table, table, table, table, table, int64, into"
 LONGER = 4.0  # times the memory of the slowest test; it costs a third of what isolates in that test, at most
 NOTHING = 1e-9  # of a sensor's own reading: what rounding makes of an effect that is none
+LATER = 0.1  # of what a fault may do to a test in any case: what its start may add once it counts as over
+LITTLE = 0.02  # bounds that a fault of its declared size may add once its start counts as over
+OVER = 1e-3  # of what counts as over: there all that is still to come is below it
+BLOCK = 256  # samples that a start is followed at once
+LONGEST = 2**17  # samples: a start that takes longer is never over
 
 
 @dataclass(frozen=True, eq=False)
 class Isolation:
     """What excuses what.  excuse (faults, tests): how much of its bound one unit of a fault may use up in each test.
 
-    first (1, hypotheses + 1): where the faults of each hypothesis begin in the rows of `excuse`.  begins (1, watches +
-    1): where the tests of each watch begin in its columns.
+    deaf (faults, watches): how many samples from the first one on a watch says nothing about hypotheses with a fault,
+    which may have acted at the first one.  first (1, hypotheses + 1): where the faults of each hypothesis begin in the
+    rows of both.  begins (1, watches + 1): where the tests of each watch begin in the columns of `excuse`.
     """
 
     excuse: Array
+    deaf: Array
     first: Array
     begins: Array
 
-    def ask(self, found: Findings) -> tuple[Array, NDArray[np.bool_]]:
+    def ask(self, found: Findings, age: int) -> tuple[Array, NDArray[np.bool_]]:
         """How badly each hypothesis fits at N samples, (N, hypotheses): its worst test in bounds; above 1 it is out.
 
-        And where any test fails at all, (N, 1).
+        And where any test fails at all, (N, 1).  age: how many samples there were before the first of these.
         """
         hypotheses = self.first.shape[1] - 1
         out = np.empty((len(found.peak), hypotheses + 1))
-        _compiled()(found.shares, found.peak, found.amplitude, self.excuse, self.first, self.begins, out)
+        tables = found.shares, found.peak, found.amplitude, self.excuse, self._silent, self.first, self.begins
+        _compiled()(*tables, age, out)
         return out[:, :hypotheses], out[:, hypotheses:] > 1.0
+
+    @cached_property
+    def _silent(self) -> Array:
+        """How long each watch says nothing about each hypothesis, (hypotheses, watches)."""
+        edges = self.first[0].astype(int)
+        return np.array([self.deaf[a:b].max(axis=0, initial=0.0) for a, b in pairwise(edges)])
 
 
 def isolation(watches: Sequence[Watch], systems: Sequence[ErrorSystem], hypotheses: Sequence[Plant]) -> Isolation:
@@ -64,7 +83,8 @@ def isolation(watches: Sequence[Watch], systems: Sequence[ErrorSystem], hypothes
     """
     rho = watches[0].memory or 1.0
     faults = [fault for plant in hypotheses for fault in plant.faults]
-    parts = []
+    sizes = np.array([fault.size for fault in faults])
+    parts, deaf = [], []
     for watch, system in zip(watches, systems, strict=True):
         columns = [_effect(watch, system, fault) for fault in faults]
         into, out = (np.column_stack(part) for part in zip(*columns, strict=True))
@@ -74,10 +94,13 @@ def isolation(watches: Sequence[Watch], systems: Sequence[ErrorSystem], hypothes
         peak *= ((1.0 - poles) / (1.0 - poles / rho))[:, None, None]
         share = peak / watch.limits[:, :, None]
         share[peak <= NOTHING * peak.max(initial=0.0)] = 0.0
-        parts.append(share.reshape(-1, len(faults)).T)
+        starts = np.stack([_starts(watch, len(system.M), fault) for fault in faults], axis=1)
+        silent, more = _over(system.M / rho, starts, system.C[:E], poles, rho, watch.limits, share, sizes)
+        parts.append((share + more).reshape(-1, len(faults)).T)
+        deaf.append(silent)
     counts = [len(plant.faults) for plant in hypotheses]
-    begins = np.cumsum([0, *(watch.tests for watch in watches)])
-    return Isolation(np.hstack(parts), np.cumsum([0, *counts])[None].astype(float), begins[None].astype(float))
+    first, begins = np.cumsum([0, *counts]), np.cumsum([0, *(watch.tests for watch in watches)])
+    return Isolation(np.hstack(parts), np.column_stack(deaf), *(at[None].astype(float) for at in (first, begins)))
 
 
 def memory(watches: Sequence[Watch], systems: Sequence[ErrorSystem]) -> float:
@@ -100,6 +123,77 @@ def _effect(watch: Watch, system: ErrorSystem, fault: FaultChannel) -> tuple[Arr
     return system.moved @ moved, np.zeros(len(system.C))
 
 
+def _starts(watch: Watch, height: int, fault: FaultChannel) -> Array:
+    """What one unit of a fault at the first sample does to the first ζ, (nz, 3): it has misled the guess.
+
+    With a complete sample; where the sensors that the guess does not read are silent, and the guess stands in for
+    them; and where there is no guess, so that z is zero, while ζ leaves out what the sample is taken to have put in.
+    """
+    observer, plant, K = watch.estimator.observer, watch.plant, watch.bounds.beginning.K
+    m, starts = observer.inputs, np.zeros((height, 3))
+    if fault.site != "sensor":
+        return starts
+    F = replace(plant, faults=(fault,)).F_f[:, 0]
+    unread = ~np.any(K != 0.0, axis=0)
+    misled = K @ F
+    back = np.linalg.pinv(observer.Cx if observer.prior is None else observer.prior)
+    shows = observer.Dx[:, m:] if observer.prior is None else np.zeros((plant.n, plant.p))
+    newest = observer_step(watch.estimator).B1[:, m:]
+    filled = np.where(unread, plant.C @ misled, F)
+    nz = len(observer.A)
+    starts[:nz, 0] = back @ (misled - shows @ F) - newest @ F
+    starts[:nz, 1] = back @ (misled - shows @ filled) - newest @ filled
+    starts[:nz, 2] = -newest @ F
+    return starts
+
+
+def _over(
+    M: Array, starts: Array, C: Array, poles: Array, rho: float, limits: Array, share: Array, sizes: Array
+) -> tuple[Array, Array]:
+    """After how many samples a start is over, by fault, and what may be left of it then in each test, as `share`.
+
+    M over ρ.  starts (nz, faults, kinds).  limits (scales, r), share (scales, r, faults), sizes (faults,).  Responses
+    are taken by their size before they are filtered, because a filter may begin, and be without samples, at any time.
+    """
+    from scipy.signal import lfilter
+
+    _, r, faults = share.shape
+    X, enough = starts.reshape(len(M), -1), np.maximum(LATER * share, LITTLE / sizes)
+    done, left, over = np.zeros(faults), np.zeros(share.shape), np.zeros(faults, dtype=bool)
+    floor = NOTHING * float((np.abs(C) @ np.abs(X)).max(initial=0.0))
+    stack, power = _ahead(M, C)
+    fades = not len(M) or float(np.abs(np.linalg.eigvals(M)).max()) < 1.0
+    held = [np.zeros((1, r, faults)) for _ in poles]
+    for begin in range(0, LONGEST, BLOCK):
+        size = np.abs(stack @ X).reshape(BLOCK, r, *starts.shape[1:]).max(axis=3)
+        size[size <= floor] = 0.0
+        if not fades:
+            return np.where(size.any(axis=(0, 1)), np.inf, 0.0), left
+        found = []
+        for i, a in enumerate(poles):
+            one, held[i] = lfilter([1.0 - a], [1.0, -a / rho], size, axis=0, zi=held[i])
+            found.append(one / limits[i][:, None])
+        table = np.stack(found, axis=1)
+        for j in range(faults):
+            above = np.flatnonzero((table[..., j] > enough[..., j]).any(axis=(1, 2)))
+            if len(above):
+                done[j], left[..., j] = begin + above[-1] + 1, 0.0
+            rest = table[above[-1] + 1 if len(above) else 0 :, ..., j]
+            left[..., j] = np.maximum(left[..., j], rest.max(axis=0, initial=0.0))
+        if np.all(table.max(axis=0) <= OVER * enough):
+            return done, left
+        over, X = np.all(table.max(axis=0) <= enough, axis=(0, 1)), power @ X
+    return np.where(over, done, np.inf), left
+
+
+def _ahead(M: Array, C: Array) -> tuple[Array, Array]:
+    """[C; C M; ...; C M^(BLOCK-1)] and M^BLOCK."""
+    stack, power, reached = C, M, 1
+    while reached < BLOCK:
+        stack, power, reached = np.vstack([stack, stack @ power]), power @ power, 2 * reached
+    return stack, power
+
+
 @cache
 def _compiled() -> Callable[..., Any]:
     if obstacle():
@@ -111,7 +205,17 @@ def _compiled() -> Callable[..., Any]:
         return _ask
 
 
-def _ask(shares: Array, peaks: Array, amplitudes: Array, excuse: Array, first: Array, begins: Array, out: Array) -> int:
+def _ask(
+    shares: Array,
+    peaks: Array,
+    amplitudes: Array,
+    excuse: Array,
+    silent: Array,
+    first: Array,
+    begins: Array,
+    age: int,
+    out: Array,
+) -> int:
     """One pass over the samples; `out` is written, its last column with the worst of all tests.
 
     A watch all of whose tests hold need not be asked in detail.
@@ -130,7 +234,7 @@ def _ask(shares: Array, peaks: Array, amplitudes: Array, excuse: Array, first: A
         for h in range(hypotheses):
             worst = held
             for g in range(watches):
-                if peaks[k, g] <= 1.0:
+                if peaks[k, g] <= 1.0 or age + k < silent[h, g]:
                     continue
                 for test in range(int(begins[0, g]), int(begins[0, g + 1])):
                     share = shares[k, test]

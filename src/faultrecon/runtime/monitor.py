@@ -159,8 +159,10 @@ class Monitor:
         into: Mapping[str, NDArray[Any]],
     ) -> MonitorState:
         """The same for a number of samples that fits the processor's cache; the rows are written into `into`."""
-        waits = np.diff(t, prepend=state.t if state.samples else np.array([*t[:1], 0.0])[0] - self.sample_time)
-        looked = self._look(state, t, u, y, waits / self.sample_time)
+        before = state.t if state.samples else np.array([*t[:1], 0.0])[0] - self.sample_time
+        with np.errstate(over="ignore"):  # two finite times may be infinitely far apart
+            waits = np.diff(t, prepend=before)
+            looked = self._look(state, t, u, y, waits / self.sample_time)
         now = Counts(looked.failed, looked.misfit > 1.0, looked.faded > 0.0, self._heard(y))
         counts, verdicts = counted(self.rules, state.counts, now)
         standing, changes = self._decider.decide(state.standing, verdicts)
@@ -219,7 +221,7 @@ class Monitor:
                 trace = estimator.replay(t, u, y, state=before)
             live.append(h.watch.look(alive, batch, trace, part))
             traces.append(trace)
-        misfit, failed = self.isolation.ask(found)
+        misfit, failed = self.isolation.ask(found, state.estimators[0].samples)
         bounds = [part.bound for part in parts]
         return _Looked(traces, tuple(live), failed, misfit, found.own, found.nis, found.faded, bounds)
 

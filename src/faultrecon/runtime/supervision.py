@@ -4,13 +4,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from faultrecon.finding import InputError
+from faultrecon.runtime.general import FARTHEST
 from faultrecon.runtime.intake import Intake, IntakeState, Taken
 from faultrecon.runtime.intake_counts import Counts, Flag
 from faultrecon.runtime.intake_order import Fate
@@ -88,32 +90,31 @@ class Supervision:
         return there, Answers(rows, taken.arrival, first, aside)
 
     def rest(self, state: SupervisionState) -> tuple[SupervisionState, Answers]:
-        """The same as `end`, with the samples that the rows are of; one that the monitor refuses is set aside."""
+        """The same as `end`, with the samples that the rows are of."""
         after, taken = self.intake.flush(state.intake)
-        first = state.counts.received
-        try:
-            there, rows = self._on(state, after, taken)
-            return there, Answers(rows, taken.arrival, first)
-        except InputError:  # one too far ahead of all others, say, which is no fault of theirs
-            there, pieces, of, aside = state, [self.monitor.finish(state.monitor)], [], {}
-        for k, arrival in enumerate(taken.arrival.tolist()):
-            try:
-                there, row = self._on(there, after, taken, slice(k, k + 1))
-            except InputError as refused:
-                aside[arrival] = f"refused: {refused}"
-                continue
-            pieces.append(row)
-            of.append(arrival)
-        there = SupervisionState(after, there.monitor)
-        return there, Answers(_joined(pieces), np.array(of, dtype=np.int64), first, aside)
+        there, rows = self._on(state, after, taken)
+        return there, Answers(rows, taken.arrival, state.counts.received)
 
-    def _on(
-        self, state: SupervisionState, after: IntakeState, taken: Taken, part: slice = slice(None)
-    ) -> tuple[SupervisionState, Columns]:
-        """The monitor over what the intake passes on, or a part of it."""
-        frozen = taken.flags_y[part] == Flag.FROZEN
-        monitor, rows = self.monitor.take(state.monitor, taken.t[part], taken.u[part], taken.y[part], frozen)
-        return SupervisionState(after, monitor), rows
+    def _on(self, state: SupervisionState, after: IntakeState, taken: Taken) -> tuple[SupervisionState, Columns]:
+        """The monitor over what the intake passes on; after an interval longer than estimators cross they begin anew.
+
+        What was decided stays, and of the row after it the monitor knows that rows are missing.
+        """
+        monitor, parts, frozen = state.monitor, [], taken.flags_y == Flag.FROZEN
+        with np.errstate(over="ignore"):  # two finite times may be infinitely far apart
+            waits = np.diff(taken.t, prepend=monitor.t)  # not a number before the first of all
+        far = np.flatnonzero(waits > FARTHEST * self.monitor.sample_time).tolist()
+        for a, b in pairwise(sorted({0, *far, len(waits)}) if len(waits) else (0, 0)):
+            monitor = self._anew(monitor) if a in far else monitor
+            monitor, rows = self.monitor.take(monitor, taken.t[a:b], taken.u[a:b], taken.y[a:b], frozen[a:b])
+            parts.append(rows)
+        return SupervisionState(after, monitor), parts[0] if len(parts) == 1 else _joined(parts)
+
+    def _anew(self, state: MonitorState) -> MonitorState:
+        watches = [h.watch for h in self.monitor.hypotheses]
+        return replace(
+            state, estimators=tuple(w.estimator.init() for w in watches), live=tuple(w.init() for w in watches)
+        )
 
     def pack(self, state: SupervisionState) -> dict[str, Any]:
         """The state as plain values and arrays, for a checkpoint."""

@@ -71,6 +71,7 @@ class Batch:
         pace = np.zeros((3, len(waits)))
         late = waits > LATE
         if late.any():
+            waits = np.minimum(waits, FAR)
             rows = np.round(waits[late])
             pace[0, late] = np.where(np.abs(waits[late] - rows) <= REGULAR, rows - 1.0, np.inf)
         pace[1] = np.where(waits < 1.0 - REGULAR, waits, 1.0)

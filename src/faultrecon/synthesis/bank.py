@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -21,9 +22,8 @@ if TYPE_CHECKING:
     from faultrecon.runtime.apart import Apart
     from faultrecon.runtime.monitor import Monitor
 
-SENSORS = ("lipschitz-hinf",)
-FOLLOWING = ("adaptive-uio", "euler-pi")  # actuators are followed, which takes a rate
-SAMPLED = ("euler-pi",)  # the one whose prediction is the map of a sampled plant; it follows sensors too
+SENSORS = "lipschitz-hinf"
+FOLLOWING = "euler-pi"  # takes actuators, and sampled plants, whose own map it predicts with; it follows faults
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,12 +106,11 @@ def bank(
 
     sensors: names; all of them by default.  actuators: names of inputs; by default those with a declared fault.
     faults: names of declared faults, sensors and inputs: these alone, and what the other arguments name.  together:
-    sets of names that may act at once, of the same kinds.  A fault that the plant declares on a signal keeps
-    its name, size and rate; any other takes the signal's name and range.
-    method: for sensors, "lipschitz-hinf" by default; what has actuators takes the first of "adaptive-uio" and
-    "euler-pi" that has a design; on sampled plants everything takes "euler-pi".  These two follow a fault, which takes
-    a declared rate.  backoff, pole_bound: of every design, as in `design`.
-    Hypotheses without a design are listed with the reason.
+    sets of names that may act at once, of the same kinds.  A fault that the plant declares on a signal keeps its name,
+    size and rate; any other takes the signal's name and range.
+    method: for sensors, "lipschitz-hinf" by default; what that method cannot take for its actuators, and by default
+    everything on a sampled plant, takes "euler-pi", which follows a fault: its rate has to be declared.
+    backoff, pole_bound: of every design, as in `design`.  Hypotheses without a design are listed with the reason.
     Raises InputError on unknown names, Impossible when no hypothesis has a design.
     """
     say = progress or (lambda name: None)
@@ -203,25 +202,14 @@ def _demand_rates(plant: Plant) -> None:
 
 
 def _designed(plant: Plant, method: str, **options: Any) -> Design:
-    """With the method asked for, or with the first that has a design."""
-    refusal: FaultreconError | None = None
-    for name in _methods(plant, method):
-        try:
-            return design(plant, name, **options)
-        except FaultreconError as error:
-            refusal = refusal or error
-    assert refusal is not None, "there is a method to try"
-    raise refusal
-
-
-def _methods(plant: Plant, asked: str) -> tuple[str, ...]:
-    """What to try, in this order."""
-    if any(f.site == "actuator" for f in plant.faults):
-        following = FOLLOWING if plant.sample_time is None else SAMPLED
-        return (asked,) if asked in following else following
-    if asked:
-        return (asked,)
-    return SENSORS if plant.sample_time is None else SAMPLED
+    """With the method asked for, or with the one for such faults; with that too where the first takes no actuators."""
+    actuators = any(f.site == "actuator" for f in plant.faults)
+    own = FOLLOWING if actuators or plant.sample_time is not None else SENSORS
+    if method and actuators and method != own:  # it was chosen for the sensors, and need not take actuators
+        with suppress(FaultreconError):
+            return design(plant, method, **options)
+        return design(plant, own, **options)
+    return design(plant, method or own, **options)
 
 
 def _channel(plant: Plant, name: str, site: str) -> FaultChannel:
