@@ -77,7 +77,7 @@ def test_nothing_is_made_up_while_bounds_hold(tried):
     assert found.false_alarms == 0
     assert 0.09 < found.hours < 0.11  # whole runs, each less its warming up
     assert found.false_alarms_between == (0.0, pytest.approx(-math.log(0.05) / found.hours))
-    assert f"at most {3.0 / found.hours:.3g}" in str(found)
+    assert f"at most {-math.log(0.05) / found.hours:.3g}" in str(found)
 
 
 def test_a_median_delay_is_never_where_most_runs_missed(tried):

@@ -174,15 +174,14 @@ def _over(
             one, held[i] = lfilter([1.0 - a], [1.0, -a / rho], size, axis=0, zi=held[i])
             found.append(one / limits[i][:, None])
         table = np.stack(found, axis=1)
-        for j in range(faults):
-            above = np.flatnonzero((table[..., j] > enough[..., j]).any(axis=(1, 2)))
-            if len(above):
-                done[j], left[..., j] = begin + above[-1] + 1, 0.0
-            rest = table[above[-1] + 1 if len(above) else 0 :, ..., j]
-            left[..., j] = np.maximum(left[..., j], rest.max(axis=0, initial=0.0))
-        if np.all(table.max(axis=0) <= OVER * enough):
+        most, above = table.max(axis=0), np.any(table > enough, axis=(1, 2))
+        left = np.maximum(left, most)
+        for j in np.flatnonzero(np.any(above, axis=0)):
+            last = int(np.flatnonzero(above[:, j])[-1]) + 1
+            done[j], left[..., j] = begin + last, table[last:, ..., j].max(axis=0, initial=0.0)
+        if np.all(most <= OVER * enough):
             return done, left
-        over, X = np.all(table.max(axis=0) <= enough, axis=(0, 1)), power @ X
+        over, X = np.all(most <= enough, axis=(0, 1)), power @ X
     return np.where(over, done, np.inf), left
 
 

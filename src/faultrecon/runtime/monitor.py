@@ -315,14 +315,14 @@ class Monitor:
         quality: Array,
     ) -> None:
         into["t"][:] = t
-        np.take(MODE_NAMES, mode, out=into["mode"], mode="wrap")
-        np.take(self._said, named, out=into["fault"], mode="wrap")
+        _spell(MODE_NAMES, mode, into["mode"])
+        _spell(self._said, named, into["fault"])
         for name, i in self.singles.items():
             into[f"f_{name}"][:] = looked.traces[i].fault[:, 0]
             into[f"f_{name}_bound"][:] = looked.bounds[i][:, 0]
         for i, name in enumerate(self.plant.signals.y.names):
             into[f"{name}_corrected"][:] = corrected[:, i]
-            np.take(QUALITY_NAMES, quality[:, i], out=into[f"{name}_quality"], mode="wrap")
+            _spell(QUALITY_NAMES, quality[:, i], into[f"{name}_quality"])
 
     # ------------------------------------------------------------ to keep and to go on
 
@@ -333,6 +333,14 @@ class Monitor:
     def unpack(self, packed: Mapping[str, Any]) -> MonitorState:
         """The state that was packed, every bit of it.  Raises InputError on one of another monitor."""
         return MonitorState.unpack(packed, [h.watch.estimator._layout for h in self.hypotheses])
+
+
+def _spell(words: NDArray[np.str_], codes: Array, into: NDArray[np.str_]) -> None:
+    """The words of codes; -1 is the last word.  Mostly they are all the same."""
+    if len(codes) and np.all(codes == codes[0]):
+        into[:] = words[codes[0]]
+    else:
+        np.take(words, codes, out=into, mode="wrap")
 
 
 def _spread(before: Standing, changes: Sequence[Change], rows: int) -> tuple[Array, Array]:
