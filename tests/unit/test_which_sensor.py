@@ -6,7 +6,9 @@ import math
 import numpy as np
 import pytest
 
-from faultrecon.advise.which_sensor import WhichSensor, flown
+from faultrecon.advise import which_sensor as demonstration
+from faultrecon.advise.which_sensor import WhichSensor, flown, which_sensor
+from faultrecon.finding import InputError
 from faultrecon.io.logs import Log
 from faultrecon.io.watched import watch
 
@@ -47,3 +49,39 @@ def test_hours_without_a_fault_are_added_up(flights):
     assert flights.false_alarms_per_hour == 0.0
     assert "no false alarms in" in str(flights)
     assert flights.as_dict()["flights"][0]["fault"] == ""
+
+
+def test_the_table_says_which_sensors_are_taken_for_healthy_because_nobody_asks(flights, by_hand):
+    assert flights.unasked == () and "taken for healthy" not in str(flights)
+    some = WhichSensor(by_hand(flights.bank.plant, sensors=["s1"]), ())
+    assert some.unasked == ("s2", "v1", "mix")
+    assert "taken for healthy, as they have none: s2, v1, mix" in str(some)
+    assert some.as_dict()["taken_for_healthy"] == ["s2", "v1", "mix"]
+
+
+@pytest.mark.parametrize(("every", "asked"), [(False, ["pitch_rate", "pitch_angle", "roll_rate"]), (True, None)])
+def test_only_three_sensors_have_a_hypothesis_unless_every_one_is_asked_about(every, asked, monkeypatch):
+    def refuse(plant, sensors):
+        assert len(plant.signals.y.names) == 11
+        raise InputError(str(sensors))
+
+    monkeypatch.setattr(demonstration, "bank", refuse)
+    with pytest.raises(InputError) as error:
+        which_sensor(every)
+    assert error.value.finding.what == str(asked)
+
+
+def test_the_command_line_asks_about_every_sensor_only_where_a_bank_decides(cli, flights, monkeypatch, tmp_path):
+    asked = []
+
+    def run(out, progress, every=False):
+        asked.append(every)
+        return flights
+
+    monkeypatch.setattr(demonstration, "which_sensor_demo", run)
+    command = ("demo", "which-sensor", "--out", tmp_path / "new")
+    assert [cli(*command)[0], cli(*command, "--every")[0]] == [0, 0]
+    assert asked == [False, True]
+    code, _, err = cli("demo", "airliner", "--every", "--out", tmp_path / "new")
+    assert code == 2 and "which-sensor --every" in err
+    assert not (tmp_path / "new").exists()

@@ -11,7 +11,7 @@ from faultrecon_docs.text import page
 SECTIONS = {
     "From plant to design": ("load", "save", "library", "library_names", "diagnose", "design", "optimum", "verify"),
     "Logs": ("reconstruct", "replay", "read_log", "write_log", "score"),
-    "Simulation": ("simulate", "Scenario", "Run", "compare", "study"),
+    "Simulation": ("simulate", "Scenario", "Run", "compare", "study", "trial"),
     "Methods": ("list_methods", "cite", "reproduce"),
     "The nouns": ("Plant", "Signals", "Channels", "Noise", "OperatingPoint", "FaultChannel", "Disturbance",
                   "Lipschitz", "Graph"),

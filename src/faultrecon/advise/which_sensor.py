@@ -3,6 +3,9 @@
 
 For each sensor in turn, in calm air and in gusts, and for healthy flights: was the right one named, when, how large
 was it said to be, and what was said where nothing was wrong.
+
+By default the bank holds a hypothesis for each of the three sensors that ever fail in these logs, so it is told that it
+is one of three; with `every` it holds one for each of the eleven sensors.
 """
 
 from __future__ import annotations
@@ -13,11 +16,14 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from faultrecon.advise.demonstration import made_folder, shipped_log
 from faultrecon.io.bankfile import write_bank
 from faultrecon.io.library import read_library
 from faultrecon.io.logs import write_log
-from faultrecon.io.watched import Watched, watch
+from faultrecon.io.watched import Watched, supervised, watched
+from faultrecon.runtime.supervision import whole
 from faultrecon.runtime.told import Episode, alarm_rate
 from faultrecon.synthesis.bank import Bank, bank
 
@@ -59,6 +65,12 @@ class WhichSensor:
     written: tuple[Path, ...] = ()
 
     @property
+    def unasked(self) -> tuple[str, ...]:
+        """The sensors that no hypothesis calls faulty."""
+        reached = np.any(self.bank.plant.F_f != 0, axis=1)
+        return tuple(name for name, faulty in zip(self.bank.plant.signals.y.names, reached, strict=True) if not faulty)
+
+    @property
     def healthy(self) -> tuple[int, float]:
         """Faults named while there was none, and hours of flight without a fault."""
         return sum(row.of_nothing for row in self.rows), sum(row.hours for row in self.rows)
@@ -73,13 +85,16 @@ class WhichSensor:
         """Plain values for `--json`."""
         return {
             "hypotheses": list(self.bank.designs),
+            "taken_for_healthy": list(self.unasked),
             "flights": [asdict(row) for row in self.rows],
             "false_alarms_per_hour": self.false_alarms_per_hour,
             "written": [str(path) for path in self.written],
         }
 
     def __str__(self) -> str:
-        lines = [f"{len(self.bank.designs)} hypotheses: {', '.join(self.bank.designs)}", ""]
+        lines = [f"{len(self.bank.designs)} hypotheses: {', '.join(self.bank.designs)}"]
+        lines += [f"taken for healthy, as they have none: {', '.join(self.unasked)}"] if self.unasked else []
+        lines += [""]
         head: tuple[str, ...] = (
             "flight",
             "true fault",
@@ -110,26 +125,38 @@ def which_sensor(every: bool = False, progress: Callable[[float], None] | None =
     every: a hypothesis for each of the eleven sensors, not only for the three that ever fail in these logs.  options:
     those of `Bank.monitor`.
     """
-    plant, tell = read_library("airliner"), progress or (lambda part: None)
-    sensors = None if every else [next(iter(f.on)) for f in plant.faults]
-    made = bank(plant, sensors=sensors)
-    rows = []
-    for k, flight in enumerate(FLIGHTS):
-        tell((1 + k) / (1 + len(FLIGHTS)))
-        log = shipped_log("airliner", flight, plant)
-        rows.append(flown(watch(made, log, **options), flight))
-    return WhichSensor(made, tuple(rows))
+    made, done = _flights(every, progress, **options)
+    return WhichSensor(made, tuple(flown(one, flight) for flight, one in done.items()))
 
 
-def which_sensor_demo(out: Path, progress: Callable[[float], None] | None = None) -> WhichSensor:
-    """The table, and the bank and one watched flight written to a folder."""
+def which_sensor_demo(
+    out: Path, progress: Callable[[float], None] | None = None, *, every: bool = False
+) -> WhichSensor:
+    """The table, and the bank and one watched flight written to a folder.  every: as in `which_sensor`."""
     out = made_folder(out)
-    found = which_sensor(progress=progress)
-    shown = watch(found.bank, shipped_log("airliner", SHOWN, found.bank.plant))
+    made, done = _flights(every, progress)
     written = out / "bank.json", out / f"{SHOWN}_watched.csv"
-    write_bank(found.bank, written[0])
-    write_log(written[1], shown.columns())
-    return replace(found, written=written)
+    write_bank(made, written[0])
+    write_log(written[1], done[SHOWN].columns())
+    return WhichSensor(made, tuple(flown(one, flight) for flight, one in done.items()), written)
+
+
+def _flights(
+    every: bool, progress: Callable[[float], None] | None, sample_time: float | None = None, **options: Any
+) -> tuple[Bank, dict[str, Watched]]:
+    """The bank, and what one monitor made of each flight; its bounds, for all of them, take longer than the flights."""
+    plant, tell = read_library("airliner"), progress or (lambda part: None)
+    made = bank(plant, sensors=None if every else [next(iter(f.on)) for f in plant.faults])
+    tell(0.3)
+    supervision = supervised(made, sample_time, **options)  # the logs have the interval that the plant file declares
+    tell(0.8)
+    done = {}
+    for k, flight in enumerate(FLIGHTS):
+        log = shipped_log("airliner", flight, plant)
+        state, table = whole(supervision, log.t, log.u, log.y)
+        done[flight] = replace(watched(supervision, log.source, state, table), log=log)
+        tell(0.8 + 0.2 * (1 + k) / len(FLIGHTS))
+    return made, done
 
 
 def flown(done: Watched, flight: str) -> Flight:

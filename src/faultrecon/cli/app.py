@@ -287,6 +287,9 @@ def _mapping(pairs: list[str]) -> dict[str, str]:
 
 
 DEMONSTRATIONS = "Which demonstration: airliner, fighter, which-sensor or activated-sludge."
+ALL_SENSORS = (
+    "Of which-sensor: a hypothesis for each of the eleven sensors, not only for the three that ever fail; TIME."
+)
 
 
 @app.command()
@@ -295,6 +298,7 @@ def demo(
     out: Annotated[Path, typer.Option("--out", "-o", help="Folder for figures, corrected log and design.")] = Path(
         "faultrecon-demo"
     ),
+    every: Annotated[bool, typer.Option("--every", help=ALL_SENSORS)] = False,
     as_json: Json = False,
 ) -> None:
     """Reconstruct sensor faults in flights that ship with the package; the fighter's gyro fails inside its loop.
@@ -313,8 +317,11 @@ def demo(
         known |= {"activated-sludge": activated_sludge_demo}
         if name not in known:
             raise InputError(f"there is no demonstration '{name}'", why=did_you_mean(name, known))
+        if every and name != "which-sensor":
+            raise InputError(f"{name} has no --every", remedies=("faultrecon demo which-sensor --every",))
+        options = {"every": True} if every else {}
         with bar(f"{name} logs") as tell:
-            shown = known[name](out, progress=tell)
+            shown = known[name](out, progress=tell, **options)
         answer(as_json, shown.as_dict(), str(shown))
 
 

@@ -228,7 +228,7 @@ def _unknown(o: Pair, sizes: Sizes, rows: int) -> _Unknown:
             ("u", 0, end, _ranges(plant.signals.u.ranges)),
             ("f", 0, 0, [fault.size for fault in plant.faults]),
             ("rate", 0, rows, rates),
-            ("detour", 0, rows, rates / 4.0 if plant.sample_time is None else np.zeros_like(rates)),  # a triangle, see `errors`
+            ("detour", 0, rows, rates / 4.0 if plant.sample_time is None else np.zeros_like(rates)),  # as in `errors`
             ("w", -1, rows, sizes.disturbances),
             ("shown", 0, end, sizes.disturbances),
             ("noise", 0, end, sizes.noise),

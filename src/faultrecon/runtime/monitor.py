@@ -40,7 +40,7 @@ from faultrecon.storage.hashing import canonical_digest
 Array = NDArray[Any]
 
 MODE_NAMES, QUALITY_NAMES = np.array(MODES), np.array(QUALITIES)
-BLOCK = 4096  # samples that are looked at together: some MB of tests
+BLOCK = 8192  # samples that are looked at together: some MB of tests
 
 
 @dataclass(frozen=True, eq=False)

@@ -104,8 +104,9 @@ class Findings:
         """Room for those of several watches, and the parts that each of them writes."""
         faults = np.cumsum([0, *(w.bounds.faults for w in watches)])
         tests = np.cumsum([0, *(w.tests for w in watches)])
-        sizes = [len(watches)] * 4 + [int(faults[-1])] * 2
-        every = Findings(*(columns(rows, size) for size in sizes), np.empty((rows, int(tests[-1]))))
+        peak, own, nis, faded = (columns(rows, len(watches)) for _ in range(4))
+        bound, amplitude = (columns(rows, int(faults[-1])) for _ in range(2))
+        every = Findings(peak, own, nis, faded, bound, amplitude, np.empty((rows, int(tests[-1]))))
         parts = []
         for g in range(len(watches)):
             one, f, s = slice(g, g + 1), slice(faults[g], faults[g + 1]), slice(tests[g], tests[g + 1])
@@ -169,10 +170,15 @@ class Watch:
         return weights / np.sqrt(max(int(known.sum()), 1))
 
     @cached_property
-    def _absences(self) -> tuple[Array, Array, Array]:
-        """What silent sensors, missing rows and missing inputs add, quick and slow in turn, (2 k, q + p + 1) each."""
+    def _fixed(self) -> tuple[Array, ...]:
+        """What the loop reads beside the samples."""
         b, width = self.bounds, self.bounds.rate.shape[1]
-        return b.lost.reshape(-1, width), b.skipped.reshape(-1, width), b.unfed.reshape(-1, width)
+        return (
+            *(self._reads, self._offsets, self._weights, np.minimum(self.limits, FAR)),
+            *(np.array([*self.poles, self.memory]), forgiving(b.steady)[0, : b.faults]),
+            *(np.append(b.diverges, b.scales), b.rate, b.anew),
+            *(each.reshape(-1, width) for each in (b.lost, b.skipped, b.unfed)),
+        )
 
     @cached_property
     def limits(self) -> Array:
@@ -184,20 +190,12 @@ class Watch:
 
     def look(self, live: Array, batch: Batch, trace: Trace, into: Findings) -> Array:
         """The tests over N samples, written into `into`, and the state after them."""
-        b, live = self.bounds, live.copy()
-        loop = _compiled() if self.compiled else pass_over
+        live = live.copy()
+        loop: Callable[..., Any] = _compiled() if self.compiled else pass_over
         loop(
             *(batch.y, batch.u, np.ascontiguousarray(trace.state.T), np.ascontiguousarray(trace.fault.T), batch.pace),
-            *(self._reads, self._offsets, self._weights, np.minimum(self.limits, FAR)),
-            np.array([*self.poles, self.memory]),
-            *(
-                forgiving(b.steady)[0, : b.faults],
-                np.append(b.diverges, b.scales),
-                b.rate,
-                b.anew,
-                *self._absences,
-                live,
-            ),
+            *self._fixed,
+            live,
             *(into.shares, into.peak, into.own, into.nis, into.faded, into.bound, into.amplitude),
         )
         return live

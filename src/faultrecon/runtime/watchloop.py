@@ -135,8 +135,7 @@ def find_errors(
 ) -> None:
     """The faults, and what each tested sensor shows beyond what the estimate expects; one (TILE,) to work on."""
     n, q, r = state.shape[0], fault.shape[0], 0
-    for k in range(rows):
-        nis[begin + k, 0] = 0.0
+    squares = np.zeros(rows)
     for j in range(q):
         for k in range(rows):
             values[k, j] = fault[j, begin + k]
@@ -155,7 +154,9 @@ def find_errors(
         for k in range(rows):
             values[k, q + i] = one[k]
             noise = one[k] * weights[i]
-            nis[begin + k, 0] += noise * noise if abs(noise) < FAR else 0.0
+            squares[k] += noise * noise if abs(noise) < FAR else 0.0
+    for k in range(rows):
+        nis[begin + k, 0] = squares[k]
 
 
 def within(value: Array, cut: Array) -> bool:

@@ -114,7 +114,7 @@ def miss(
     if lacks == 3 or (lacks > 0 and before > 0 and before != lacks):
         known = False  # what sensors and inputs do to each other is not accounted for
     if known and gap > 0.0:
-        known = add(live, top, skipped, row, 1.0 + diverges[y.shape[0] + 1] * left)
+        known = add(live, top, skipped, row, 1.0 + float(diverges[y.shape[0] + 1]) * left)
     if sensors:
         fall_silent(live, scales, y, sensors, 1.0 + left, diverges, anew, lost)
     for i in range(u.shape[0]):
