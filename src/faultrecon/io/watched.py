@@ -151,6 +151,7 @@ def watch(
     step = median_interval(log) if sample_time is None else sample_time
     supervision = supervised(bank, step, reorder=reorder, leap=leap, **options)
     tell(0.5)
+    supervision.monitor.expect(len(log.t))
     state, table = whole(supervision, log.t, log.u, log.y)
     tell(1.0)
     return replace(watched(supervision, log.source, state, table), log=log)
@@ -205,6 +206,8 @@ def monitoring(bank: Bank, *, sample_time: float | None = None, **options: Any) 
 
     def make(found: Survey, chosen: Chosen | None) -> tuple[Supervision, Chosen]:
         step = found.interval if sample_time is None else sample_time
-        return supervised(bank, step, **options), {} if chosen is None else chosen
+        supervision = supervised(bank, step, **options)
+        supervision.monitor.expect(found.rows)
+        return supervision, {} if chosen is None else chosen
 
     return make

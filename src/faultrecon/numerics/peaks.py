@@ -26,6 +26,8 @@ GROWING = 2.0  # from block to block: a sum that is not about to end
 BEYOND = 300.0  # as a logarithm: sizes that no sequence worth having begins with
 FADED = 1e-4  # of the unit, or of the largest value if that is less: a response below it has faded
 AT_ONCE = 1e-9  # per sample: a rate below it is that of nothing
+WATCHED = 4  # blocks after which a response that has not faded is bounded mode by mode
+APART = 1e9  # condition of the modes up to which that says something
 LONGEST_FADE = 2**17  # samples of a fading response that are looked at
 LONGEST = 2**20  # samples: there it ends in any case
 
@@ -144,20 +146,39 @@ def _least(
 
 def _envelope(M: Array, C: Array, box: Array, units: Array) -> tuple[Array, Array]:
     """The largest outputs within stretches that end at `ends`, (stretches,) and (stretches, r); never quite zero."""
-    r = C.shape[0]
     stack, power = _observations(M, C)
-    blocks, X, top = [], box, 0.0
+    blocks, X, top, each, modes = [], box, 0.0, np.ones(box.shape[1]), None
     while len(blocks) * BLOCK < LONGEST_FADE:
-        block = np.abs((stack @ X).reshape(BLOCK, r, -1)).sum(axis=2) / units
+        responses = stack @ X
+        block = (np.abs(responses, out=responses) @ each).reshape(BLOCK, len(C)) / units
         blocks.append(block)
         top = max(top, float(block.max(initial=0.0)))
-        if float(block.max(initial=0.0)) <= FADED * min(top, 1.0):
+        faded = FADED * min(top, 1.0)
+        if float(block.max(initial=0.0)) <= faded:
             break
         X = power @ X
+        if len(blocks) == WATCHED and (modes := _modes(M, C, X, units)) is not None:
+            break
     table = np.concatenate(blocks)
     edges = np.unique(np.concatenate([np.arange(17), np.geomspace(16, len(table), 120).astype(int)]))
-    largest = np.maximum.reduceat(table, edges[:-1], axis=0)
-    return (edges[1:] - 1).astype(float), np.maximum(largest, np.finfo(float).tiny)
+    ends, largest = edges[1:] - 1, np.maximum.reduceat(table, edges[:-1], axis=0)
+    if modes is not None:
+        later = np.geomspace(1.0, LONGEST_FADE / len(table), 40)
+        starts = np.unique((len(table) * (later - 1.0)).astype(int))
+        tail = modes[1] ** starts[:, None] @ modes[0].T
+        kept = 1 + int(np.count_nonzero(tail.max(axis=1) > faded))  # sizes only fall
+        ends = np.concatenate([ends, len(table) + np.append(starts[1:], starts[-1] + 1)[:kept] - 1])
+        largest = np.vstack([largest, tail[:kept]])
+    return ends.astype(float), np.maximum(largest, np.finfo(float).tiny)
+
+
+def _modes(M: Array, C: Array, X: Array, units: Array) -> tuple[Array, Array] | None:
+    """Sizes (r, n) and rates (n,) with |C M^k X| <= sizes rate^k, mode by mode; None where these are too alike."""
+    values, vectors = np.linalg.eig(M)
+    if not np.linalg.cond(vectors) <= APART:
+        return None
+    weights = np.abs(np.linalg.solve(vectors, X)).sum(axis=1)
+    return np.abs(C @ vectors) * weights / units[:, None], np.abs(values)
 
 
 def _observations(M: Array, C: Array) -> tuple[Array, Array]:

@@ -13,8 +13,8 @@ nothing.  Only one that was tested in at least half of a window is named, so one
   rejected, which has been so for `window` samples; and it is tested.
 - `suspect`: "all healthy" is contradicted, and several explain it, or one for not long enough, or none.
 - `out_of_envelope`: for `patience` windows nothing has explained it: the plant is not the model, or bounds are broken.
-- `recovering`: no test has failed for a window since a fault was named, and its sensor was heard; after two more
-  windows it is over.
+- `recovering`: no test has failed for a window since a fault was named, which is tested and its sensor heard; after two
+  more windows it is over.
 - `warming`: no hypothesis is tested: too much is left of the start or of a gap, or no sensor is heard.
 """
 
@@ -166,7 +166,7 @@ class Decider:
         if found != now.candidates:
             now = replace(now, candidates=found, candidate_since=k)
         if now.named != NOBODY and not rejected[now.named]:
-            kept, due = self._keep(now, k, quiet and bool(heard[now.named]))
+            kept, due = self._keep(now, k, bool(quiet and heard[now.named] and ready[now.named]))
             if kept.named != NOBODY:
                 return kept, due
             now = kept

@@ -159,6 +159,10 @@ class Estimator:
         self._chosen.compile(self._general)
         return self
 
+    def expect(self, rows: int) -> None:
+        """Have the kernels ready if that pays for so many rows, which may come in pieces."""
+        self._chosen.prepare(self._general, rows)
+
     # ------------------------------------------------------------ one sample at a time
 
     def init(self, *, x: ArrayLike | None = None) -> State:

@@ -124,6 +124,11 @@ class Monitor:
 
     # ------------------------------------------------------------ the work
 
+    def expect(self, rows: int) -> None:
+        """Have the estimators' kernels ready if that pays for so many rows, which may come in pieces."""
+        for h in self.hypotheses:
+            h.watch.estimator.expect(rows)
+
     def start(self) -> MonitorState:
         """Before the first sample."""
         hypotheses = self.hypotheses

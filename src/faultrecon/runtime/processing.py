@@ -86,7 +86,7 @@ def settled(estimator: Estimator, rows: int) -> Estimator:
 
     Engines may differ in the last bit of a sine, so what stops and goes on has to stay with one.
     """
-    estimator._chosen.prepare(estimator._general, rows)
+    estimator.expect(rows)
     return replace(estimator, asked=estimator.engine.name)
 
 

@@ -70,6 +70,8 @@ def fall_silent(
             grows = max(grows, diverges[i])
     if silent > 1:
         grows = max(grows, diverges[p])
+    if grows == 0.0:
+        share = min(share, 1.0 + anew[0, last] + anew[1, last])
     for e in range(last + 1):
         largest = FAR if grows > 0.0 else anew[0, e] + anew[1, e]
         if rest_of(live, scales, e) > largest:
