@@ -147,7 +147,8 @@ def _least(
 def _envelope(M: Array, C: Array, box: Array, units: Array) -> tuple[Array, Array]:
     """The largest outputs within stretches that end at `ends`, (stretches,) and (stretches, r); never quite zero."""
     stack, power = _observations(M, C)
-    blocks, X, top, each, modes = [], box, 0.0, np.ones(box.shape[1]), None
+    blocks, X, top, faded = [], box, 0.0, 0.0
+    each, modes = np.ones(box.shape[1]), None
     while len(blocks) * BLOCK < LONGEST_FADE:
         responses = stack @ X
         block = (np.abs(responses, out=responses) @ each).reshape(BLOCK, len(C)) / units
