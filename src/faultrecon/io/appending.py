@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from faultrecon.finding import InputError
 from faultrecon.io.tables import name_extension
@@ -58,7 +58,7 @@ class Appending:
         """These rows at the end; the columns are the same every time."""
         import pyarrow as pa
 
-        batch = pa.record_batch({name: pa.array(np.asarray(values)) for name, values in columns.items()})
+        batch = pa.record_batch({name: _arrow(np.asarray(values)) for name, values in columns.items()})
         try:
             self._file.write(self._text(batch) if self._csv else self._message(batch))
         except (pa.ArrowException, OSError) as error:
@@ -128,3 +128,12 @@ class Appending:
 
     def _unwritable(self, error: Exception) -> InputError:
         return InputError(f"{self._work}: cannot be written", why=str(getattr(error, "strerror", None) or error))
+
+
+def _arrow(values: NDArray[Any]) -> pa.Array:
+    """As Arrow has it; words are mostly all the same, which is quicker said once."""
+    import pyarrow as pa
+
+    if values.dtype.kind == "U" and len(values) and np.all(values == values[0]):
+        return pa.repeat(str(values[0]), len(values))
+    return pa.array(values)
