@@ -56,7 +56,7 @@ def gains(M: Array, B: Array, C: Array, D: Array, smoothing: Sequence[float] = (
     if slowest >= 1.0:
         seen = _reaches(M, B, C)[None] | np.zeros((len(poles), 1, 1), dtype=bool)
         return Gains(np.where(seen, np.inf, np.abs(D)), np.where(seen, np.inf, np.abs(D)))
-    stack, power = _observations(M, C)
+    stack, power = observations(M, C)
     states = [np.zeros((1, r, d)) for _ in poles]
     block, X, done, agreed = D[None], B, 0, 0
     before, last = np.zeros((2, *peak.shape)), np.full((2, *peak.shape), np.inf)
@@ -146,7 +146,7 @@ def _least(
 
 def _envelope(M: Array, C: Array, box: Array, units: Array) -> tuple[Array, Array]:
     """The largest outputs within stretches that end at `ends`, (stretches,) and (stretches, r); never quite zero."""
-    stack, power = _observations(M, C)
+    stack, power = observations(M, C)
     blocks, X, top, faded = [], box, 0.0, 0.0
     each, modes = np.ones(box.shape[1]), None
     while len(blocks) * BLOCK < LONGEST_FADE:
@@ -182,7 +182,7 @@ def _modes(M: Array, C: Array, X: Array, units: Array) -> tuple[Array, Array] | 
     return np.abs(C @ vectors) * weights / units[:, None], np.abs(values)
 
 
-def _observations(M: Array, C: Array) -> tuple[Array, Array]:
+def observations(M: Array, C: Array) -> tuple[Array, Array]:
     """[C; C M; ...; C M^(BLOCK-1)] and M^BLOCK."""
     rows, power = [C], M
     while len(rows) * len(C) < BLOCK * len(C):
@@ -193,6 +193,6 @@ def _observations(M: Array, C: Array) -> tuple[Array, Array]:
 
 def _reaches(M: Array, B: Array, C: Array) -> NDArray[np.bool_]:
     """Which outputs an input reaches through the state at all, (r, d)."""
-    stack, _ = _observations(M, C)
+    stack, _ = observations(M, C)
     seen = np.abs((stack @ B).reshape(-1, len(C), B.shape[1])).max(axis=0)
     return np.asarray(seen > 0)

@@ -22,7 +22,7 @@ from faultrecon.plant.fault import FaultChannel
 from faultrecon.plant.plant import Plant
 from faultrecon.runtime.building import monitor_of
 from faultrecon.runtime.errors import ErrorSystem, error_system
-from faultrecon.runtime.isolation import _effect as effect_of
+from faultrecon.runtime.isolation import effect
 from faultrecon.runtime.monitor import Monitor
 from faultrecon.runtime.watch import Watch
 from faultrecon.runtime.watchloop import CUT
@@ -56,7 +56,7 @@ def separation(monitor: Monitor) -> dict[str, dict[str, float]]:
 
 def _settled(watch: Watch, system: ErrorSystem, fault: FaultChannel) -> Array:
     """What one unit of a constant fault makes of f̂ - f and y - ŷ in the end, (q + p,); nan where that has no end."""
-    into, out = effect_of(watch, system, fault)
+    into, out = effect(watch, system, fault)
     rows = system.faults + system.sensors
     if np.abs(np.linalg.eigvals(system.M)).max(initial=0.0) > 1.0 - ENDLESS:
         return np.full(rows, math.nan)

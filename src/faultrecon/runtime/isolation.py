@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from faultrecon.finding import Inconclusive
 from faultrecon.graph.compiled import Program, load, obstacle, plain_text
 from faultrecon.numerics.discretise import zoh
-from faultrecon.numerics.peaks import gains
+from faultrecon.numerics.peaks import BLOCK, gains, observations
 from faultrecon.plant.fault import FaultChannel
 from faultrecon.plant.plant import Plant
 from faultrecon.runtime.errors import ErrorSystem
@@ -39,7 +39,6 @@ NOTHING = 1e-9  # of a sensor's own reading: what rounding makes of an effect th
 LATER = 0.1  # of what a fault may do to a test in any case: what its start may add once it counts as over
 LITTLE = 0.02  # bounds that a fault of its declared size may add once its start counts as over
 OVER = 1e-3  # of what counts as over: there all that is still to come is below it
-BLOCK = 256  # samples that a start is followed at once
 LONGEST = 2**17  # samples: a start that takes longer is never over
 
 
@@ -86,7 +85,7 @@ def isolation(watches: Sequence[Watch], systems: Sequence[ErrorSystem], hypothes
     sizes = np.array([fault.size for fault in faults])
     parts, deaf = [], []
     for watch, system in zip(watches, systems, strict=True):
-        columns = [_effect(watch, system, fault) for fault in faults]
+        columns = [effect(watch, system, fault) for fault in faults]
         into, out = (np.column_stack(part) for part in zip(*columns, strict=True))
         E = system.faults + system.sensors
         poles = np.array(watch.poles)
@@ -110,7 +109,7 @@ def memory(watches: Sequence[Watch], systems: Sequence[ErrorSystem]) -> float:
     return 1.0 - (1.0 - longest) / LONGER if longest < 1.0 else 1.0
 
 
-def _effect(watch: Watch, system: ErrorSystem, fault: FaultChannel) -> tuple[Array, Array]:
+def effect(watch: Watch, system: ErrorSystem, fault: FaultChannel) -> tuple[Array, Array]:
     """What one unit of a fault does to ζ and to the errors, of an observer that need not know of it."""
     plant = replace(watch.plant, faults=(fault,))
     if fault.site == "sensor":
@@ -161,7 +160,7 @@ def _over(
     X, enough = starts.reshape(len(M), -1), np.maximum(LATER * share, LITTLE / sizes)
     done, left, over = np.zeros(faults), np.zeros(share.shape), np.zeros(faults, dtype=bool)
     floor = NOTHING * float((np.abs(C) @ np.abs(X)).max(initial=0.0))
-    stack, power = _ahead(M, C)
+    stack, power = observations(M, C)
     fades = not len(M) or float(np.abs(np.linalg.eigvals(M)).max()) < 1.0
     held = [np.zeros((1, r, faults)) for _ in poles]
     for begin in range(0, LONGEST, BLOCK):
@@ -183,14 +182,6 @@ def _over(
             return done, left
         over, X = np.all(most <= enough, axis=(0, 1)), power @ X
     return np.where(over, done, np.inf), left
-
-
-def _ahead(M: Array, C: Array) -> tuple[Array, Array]:
-    """[C; C M; ...; C M^(BLOCK-1)] and M^BLOCK."""
-    stack, power, reached = C, M, 1
-    while reached < BLOCK:
-        stack, power, reached = np.vstack([stack, stack @ power]), power @ power, 2 * reached
-    return stack, power
 
 
 @cache

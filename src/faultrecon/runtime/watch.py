@@ -30,21 +30,10 @@ Array = NDArray[Any]
 
 SIGNATURE = ", ".join(
     [
-        *(
-            "block",
-            "block",
-            "block",
-            "block",
-            "block",
-            "table",
-            "vector",
-            "vector",
-            "table",
-            "vector",
-            "vector",
-            "vector",
-        ),
-        *("table", "table", "table", "table", "table", "into", "into", "into", "into", "into", "into", "into", "into"),
+        *("block" for _ in range(5)),
+        *("table", "vector", "vector", "table", "vector", "vector", "vector"),
+        *("table" for _ in range(5)),
+        *("into" for _ in range(8)),
     ]
 )
 REGULAR = 0.1  # sample times: by how much an interval may differ from a whole number of them, and count as such
