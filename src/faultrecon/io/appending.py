@@ -7,21 +7,25 @@ that was once safe on disk, it holds the rows it held then.  The file itself app
 
 from __future__ import annotations
 
+import json
 import os
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from faultrecon.finding import InputError
 from faultrecon.io.tables import name_extension
+from faultrecon.runtime.words import Words
 from faultrecon.storage.atomic import replacing
 from faultrecon.storage.checkpoint import settle_folder
 
 if TYPE_CHECKING:
     import pyarrow as pa
+
+WORDS = b"words"  # in the schema of the working file: those that the numbers of a column stand for
 
 
 def working_file(out: str | os.PathLike[str]) -> Path:
@@ -54,13 +58,12 @@ class Appending:
             )
         self.length = length
 
-    def append(self, columns: Mapping[str, ArrayLike]) -> None:
-        """These rows at the end; the columns are the same every time."""
+    def append(self, columns: Mapping[str, ArrayLike | Words]) -> None:
+        """These rows at the end; the columns are the same every time, and so are the words that `Words` choose from."""
         import pyarrow as pa
 
-        batch = pa.record_batch({name: _arrow(np.asarray(values)) for name, values in columns.items()})
         try:
-            self._file.write(self._text(batch) if self._csv else self._message(batch))
+            self._file.write(self._text(columns) if self._csv else self._message(columns))
         except (pa.ArrowException, OSError) as error:
             raise self._unwritable(error) from error
 
@@ -99,30 +102,50 @@ class Appending:
         self._file.close()
         self._work.unlink(missing_ok=True)
 
-    def _text(self, batch: pa.RecordBatch) -> Any:
+    def _text(self, columns: Mapping[str, ArrayLike | Words]) -> Any:
         import pyarrow as pa
         from pyarrow import csv
 
-        into = pa.BufferOutputStream()
+        batch, into = pa.record_batch({name: _told(each) for name, each in columns.items()}), pa.BufferOutputStream()
         csv.write_csv(batch, into, csv.WriteOptions(include_header=self._file.tell() == 0))
         return into.getvalue()
 
-    def _message(self, batch: pa.RecordBatch) -> Any:
+    def _message(self, columns: Mapping[str, ArrayLike | Words]) -> Any:
+        """Rows as the working file has them: of words the numbers, and the words once, in the schema."""
+        import pyarrow as pa
+
+        arrays, fields = [], []
+        for name, each in columns.items():
+            arrays.append(pa.array(each.codes if isinstance(each, Words) else np.asarray(each)))
+            words = {WORDS: json.dumps(each.words)} if isinstance(each, Words) else None
+            fields.append(pa.field(name, arrays[-1].type, metadata=words))
+        batch = pa.RecordBatch.from_arrays(arrays, schema=pa.schema(fields))
         if self._file.tell() == 0:
             self._file.write(batch.schema.serialize())
         return batch.serialize()
 
     def _as_parquet(self) -> None:
-        """The stream as Parquet, a row group per piece; floats hardly repeat, so they get no dictionary."""
+        """The stream as Parquet, a row group per piece; floats hardly repeat, so they get no dictionary.
+
+        Words become text to whoever reads the file: that they were numbers is not stored.
+        """
         import pyarrow as pa
         from pyarrow import ipc, parquet
 
         with pa.OSFile(str(self._work)) as file, replacing(self.out) as temporary:
             stream = ipc.open_stream(file)
-            repeating: Any = [f.name for f in stream.schema if not pa.types.is_floating(f.type)]
-            with parquet.ParquetWriter(temporary, stream.schema, use_dictionary=repeating) as writer:
+            words = {f.name: pa.array(json.loads(f.metadata[WORDS])) for f in stream.schema if f.metadata}
+            kinds = {f.name: pa.dictionary(f.type, pa.string()) if f.name in words else f.type for f in stream.schema}
+            schema = pa.schema(kinds.items())
+            repeating: Any = [name for name, kind in kinds.items() if not pa.types.is_floating(kind)]
+            with parquet.ParquetWriter(temporary, schema, use_dictionary=repeating, store_schema=False) as writer:
                 for batch in stream:
-                    writer.write_batch(batch, row_group_size=max(1, batch.num_rows))
+                    columns = [
+                        pa.DictionaryArray.from_arrays(each, words[name]) if name in words else each
+                        for name, each in zip(schema.names, batch.columns, strict=True)
+                    ]
+                    spelled = pa.RecordBatch.from_arrays(columns, schema=schema)
+                    writer.write_batch(spelled, row_group_size=max(1, batch.num_rows))
             with open(temporary, "rb+") as written:
                 os.fsync(written.fileno())
 
@@ -130,10 +153,8 @@ class Appending:
         return InputError(f"{self._work}: cannot be written", why=str(getattr(error, "strerror", None) or error))
 
 
-def _arrow(values: NDArray[Any]) -> pa.Array:
-    """As Arrow has it; words are mostly all the same, which is quicker said once."""
+def _told(values: ArrayLike | Words) -> pa.Array:
+    """As Arrow has it, words as text."""
     import pyarrow as pa
 
-    if values.dtype.kind == "U" and len(values) and np.all(values == values[0]):
-        return pa.repeat(str(values[0]), len(values))
-    return pa.array(values)
+    return pa.array(values.words).take(pa.array(values.codes)) if isinstance(values, Words) else pa.array(values)

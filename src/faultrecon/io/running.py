@@ -87,7 +87,7 @@ class Tally:
                 known[name] = known.get(name, 0) + len(sizes)
         flags = [values for name, values in rows.items() if name.endswith("_ok") and values.dtype.kind == "b"]
         flagged = int((~np.all(flags, axis=0)).sum()) if flags else 0
-        timed = self._timed(rows["t"])
+        timed = self._timed(np.asarray(rows["t"]))
         return replace(timed, flagged=self.flagged + flagged, squares=squares, largest=largest, known=known)
 
     def _timed(self, t: NDArray) -> Tally:

@@ -33,13 +33,14 @@ from faultrecon.runtime.decision import (
 from faultrecon.runtime.events import Event, Evidence, Open, closed, opened
 from faultrecon.runtime.isolation import Isolation
 from faultrecon.runtime.monitorstate import KEPT, MonitorState
+from faultrecon.runtime.processing import Columns
 from faultrecon.runtime.samples import Trace, checked_log
 from faultrecon.runtime.watch import Batch, Findings, Watch
+from faultrecon.runtime.words import Words
 from faultrecon.storage.hashing import canonical_digest
 
 Array = NDArray[Any]
 
-MODE_NAMES, QUALITY_NAMES = np.array(MODES), np.array(QUALITIES)
 BLOCK = 8192  # samples that are looked at together: some MB of tests
 
 
@@ -137,7 +138,7 @@ class Monitor:
 
     def take(
         self, state: MonitorState, t: Array, u: Array, y: Array, doubt: NDArray[np.bool_] | None = None
-    ) -> tuple[MonitorState, dict[str, Array]]:
+    ) -> tuple[MonitorState, Columns]:
         """Samples t (N,), u (N, m), y (N, p), absolute, time increasing; one row out for each.
 
         doubt (N, p): readings that something else than a test speaks against, such as that they stand still.
@@ -149,7 +150,7 @@ class Monitor:
         rows = self._room(len(t))
         for k in range(0, max(len(t), 1), BLOCK):
             here = slice(k, k + BLOCK)
-            into = {name: column[here] for name, column in rows.items()}
+            into = {name: _numbers(column)[here] for name, column in rows.items()}
             doubted = None if doubt is None else doubt[here]
             state = self._block(state, t[here], u[here], y[here], doubted, into)
         return state, rows
@@ -196,7 +197,7 @@ class Monitor:
         self._write(into, t, shown, named, looked, corrected, quality)
         return after
 
-    def finish(self, state: MonitorState) -> dict[str, Array]:
+    def finish(self, state: MonitorState) -> Columns:
         """No row waits."""
         return self._room(0)
 
@@ -298,16 +299,11 @@ class Monitor:
             for i, name in enumerate(self._names)
         )
 
-    def _room(self, rows: int) -> dict[str, NDArray[Any]]:
-        """Columns for so many rows, not yet written."""
-        kinds = {"mode": MODE_NAMES.dtype, "fault": self._said.dtype}
-        kinds |= {f"{name}_quality": QUALITY_NAMES.dtype for name in self.plant.signals.y.names}
-        return {name: np.empty(rows, dtype=kinds.get(name, float)) for name in self.columns}
-
-    @cached_property
-    def _said(self) -> NDArray[np.str_]:
-        """The names of the hypotheses, and of none as the last."""
-        return np.array([*self._names, ""])
+    def _room(self, rows: int) -> Columns:
+        """Columns for so many rows, not yet written; those of words are `Words`, of which none named is the last."""
+        words = {"mode": MODES, "fault": (*self._names, "")}
+        words |= {f"{name}_quality": QUALITIES for name in self.plant.signals.y.names}
+        return {name: Words.room(rows, words[name]) if name in words else np.empty(rows) for name in self.columns}
 
     def _write(
         self,
@@ -320,14 +316,14 @@ class Monitor:
         quality: Array,
     ) -> None:
         into["t"][:] = t
-        _spell(MODE_NAMES, mode, into["mode"])
-        _spell(self._said, named, into["fault"])
+        into["mode"][:] = mode
+        into["fault"][:] = np.where(named == NOBODY, len(self.hypotheses), named)
         for name, i in self.singles.items():
             into[f"f_{name}"][:] = looked.traces[i].fault[:, 0]
             into[f"f_{name}_bound"][:] = looked.bounds[i][:, 0]
         for i, name in enumerate(self.plant.signals.y.names):
             into[f"{name}_corrected"][:] = corrected[:, i]
-            _spell(QUALITY_NAMES, quality[:, i], into[f"{name}_quality"])
+            into[f"{name}_quality"][:] = quality[:, i]
 
     # ------------------------------------------------------------ to keep and to go on
 
@@ -340,12 +336,9 @@ class Monitor:
         return MonitorState.unpack(packed, [h.watch.estimator._layout for h in self.hypotheses])
 
 
-def _spell(words: NDArray[np.str_], codes: Array, into: NDArray[np.str_]) -> None:
-    """The words of codes; -1 is the last word.  Mostly they are all the same."""
-    if len(codes) and np.all(codes == codes[0]):
-        into[:] = words[codes[0]]
-    else:
-        np.take(words, codes, out=into, mode="wrap")
+def _numbers(column: NDArray[Any] | Words) -> NDArray[Any]:
+    """What is written of a column."""
+    return column.codes if isinstance(column, Words) else column
 
 
 def _spread(before: Standing, changes: Sequence[Change], rows: int) -> tuple[Array, Array]:

@@ -17,9 +17,10 @@ from numpy.typing import NDArray
 from faultrecon.finding import InputError
 from faultrecon.runtime.estimator import WORTHWHILE, Estimator
 from faultrecon.runtime.samples import Array, Mask, State, checked_log, columns
+from faultrecon.runtime.words import Words
 
 S = TypeVar("S")
-Columns = dict[str, NDArray[Any]]
+Columns = dict[str, NDArray[Any] | Words]
 
 
 @dataclass(frozen=True, eq=False)

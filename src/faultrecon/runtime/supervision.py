@@ -18,6 +18,7 @@ from faultrecon.runtime.intake_counts import Counts, Flag
 from faultrecon.runtime.intake_order import Fate
 from faultrecon.runtime.monitor import Monitor, MonitorState
 from faultrecon.runtime.processing import Answers, Columns
+from faultrecon.runtime.words import Words, spelled
 from faultrecon.storage.hashing import canonical_digest
 
 Array = NDArray[Any]
@@ -65,18 +66,16 @@ class Supervision:
         """Before the first sample."""
         return SupervisionState(self.intake.init(), self.monitor.start())
 
-    def take(
-        self, state: SupervisionState, t: Array, u: Array, y: Array
-    ) -> tuple[SupervisionState, dict[str, NDArray[Any]]]:
+    def take(self, state: SupervisionState, t: Array, u: Array, y: Array) -> tuple[SupervisionState, Columns]:
         """Rows in the order in which they arrived; those that wait come out later."""
         after, taken = self.intake.take(state.intake, t, u, y)
         return self._on(state, after, taken)
 
-    def finish(self, state: SupervisionState) -> dict[str, NDArray[Any]]:
+    def finish(self, state: SupervisionState) -> Columns:
         """The rows that were waiting for later ones."""
         return self.end(state)[1]
 
-    def end(self, state: SupervisionState) -> tuple[SupervisionState, dict[str, NDArray[Any]]]:
+    def end(self, state: SupervisionState) -> tuple[SupervisionState, Columns]:
         """The same, with the state after them."""
         after, taken = self.intake.flush(state.intake)
         return self._on(state, after, taken)
@@ -129,11 +128,16 @@ class Supervision:
 
 
 def whole(supervision: Supervision, t: Array, u: Array, y: Array) -> tuple[SupervisionState, dict[str, NDArray[Any]]]:
-    """A whole log at once."""
+    """A whole log at once, words as text."""
     state, rows = supervision.take(supervision.start(), t, u, y)
     state, rest = supervision.end(state)
-    return state, _joined([rows, rest])
+    return state, spelled(_joined([rows, rest]))
 
 
 def _joined(pieces: Sequence[Columns]) -> Columns:
-    return {name: np.concatenate([piece[name] for piece in pieces]) for name in pieces[0]}
+    return {name: _one_after_the_other([piece[name] for piece in pieces]) for name in pieces[0]}
+
+
+def _one_after_the_other(parts: Sequence[NDArray[Any] | Words]) -> NDArray[Any] | Words:
+    words = [part for part in parts if isinstance(part, Words)]
+    return Words.joined(words) if words else np.concatenate([np.asarray(part) for part in parts])

@@ -21,6 +21,7 @@ from faultrecon.plant.plant import Plant
 from faultrecon.runtime.monitor import Monitor
 from faultrecon.runtime.told import Told, scored
 from faultrecon.runtime.watchloop import SETTLED
+from faultrecon.runtime.words import spelled
 from faultrecon.simulation.chance import HeldNoise, held_index, stream_seed
 from faultrecon.simulation.composition import Shape
 from faultrecon.simulation.scenario import Scenario, Signal
@@ -108,7 +109,7 @@ class Ground:
     def told(self, truth: Truth, y: Array, faults: Mapping[str, Array]) -> Told:
         """The monitor over a run, and how well it did."""
         state, rows = self.monitor.take(self.monitor.start(), truth.t, truth.u, y)
-        return scored(self.monitor, rows, self.monitor.events(state), faults)
+        return scored(self.monitor, spelled(rows), self.monitor.events(state), faults)
 
 
 def _ready(monitor: Monitor) -> int:
