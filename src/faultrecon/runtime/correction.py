@@ -111,6 +111,8 @@ class Correction:
 
     def _held(self, before: Held, t: Array, out: Array, quality: Array) -> tuple[Held, Array, Array]:
         """With the last good value where there is no other and the policy allows it; NaN stays NaN, and bad."""
+        if len(t) and np.all(quality[-1] == GOOD) and np.isfinite(out).all():
+            return Held(out[-1].copy(), np.full(out.shape[1], t[-1])), out, quality
         value, time = before.value.copy(), before.time.copy()
         for i in range(out.shape[1]):
             good = (quality[:, i] == GOOD) & np.isfinite(out[:, i])

@@ -89,6 +89,11 @@ class Counts:
         empty = np.zeros((rules.window - 1, hypotheses), dtype=np.int8)
         return Counts(empty[:, :1], empty, empty, empty)
 
+    @property
+    def uneventful(self) -> bool:
+        """Whether no test fails, and every hypothesis is tested and its sensors are heard, at every sample."""
+        return bool(self.faded.all() and self.heard.all()) and not (self.failed.any() or self.outside.any())
+
 
 def counted(rules: Rules, before: Counts, now: Counts) -> tuple[Counts, Verdicts]:
     """The verdicts over N samples, from 0 and 1 as in `Counts`, and what the next ones go on from."""
@@ -136,6 +141,18 @@ class Decider:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "_order", tuple(sorted(set(self.faults))))
+
+    def take(
+        self, counts: Counts, standing: Standing, now: Counts
+    ) -> tuple[Counts, Standing, list[Change], NDArray[np.bool_]]:
+        """N samples on: what is counted, where the decision stands, how it came to that, and which hypotheses were
+        tested enough, (N, hypotheses).
+        """
+        if standing.mode == TRACKING and not standing.candidates and counts.uneventful and now.uneventful:
+            return counts, replace(standing, samples=standing.samples + len(now.failed)), [], now.faded
+        after, verdicts = counted(self.rules, counts, now)
+        there, changes = self.decide(standing, verdicts)
+        return after, there, changes, verdicts.ready
 
     def decide(self, standing: Standing, verdicts: Verdicts) -> tuple[Standing, list[Change]]:
         """The changes over N samples, and where the decision stands after them."""

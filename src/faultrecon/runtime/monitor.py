@@ -28,7 +28,6 @@ from faultrecon.runtime.decision import (
     Decider,
     Rules,
     Standing,
-    counted,
 )
 from faultrecon.runtime.events import Event, Evidence, Open, closed, opened
 from faultrecon.runtime.isolation import Isolation
@@ -75,6 +74,20 @@ class _Looked:
     nis: Array
     faded: Array
     bounds: list[Array]
+
+
+@dataclass(frozen=True, eq=False)
+class _Recent:
+    """Misfits, sizes of the own faults and NIS: what was kept of the samples before, and those at hand after them."""
+
+    before: Array
+    looked: _Looked
+
+    def window(self, row: int, rows: int) -> Array:
+        """So many rows from one on, (rows, hypotheses, 3), row 0 being the oldest that was kept."""
+        kept, here = self.before[row : row + rows], slice(max(row - len(self.before), 0), row + rows - len(self.before))
+        now = (table[here] for table in (self.looked.misfit, self.looked.own, self.looked.nis))
+        return np.concatenate([kept, np.stack(list(now), axis=2)]) if here.stop > 0 else kept
 
 
 @dataclass(frozen=True, eq=False)
@@ -170,13 +183,12 @@ class Monitor:
             waits = np.diff(t, prepend=before)
             looked = self._look(state, t, u, y, waits / self.sample_time)
         now = Counts(looked.failed, looked.misfit > 1.0, looked.faded > 0.0, self._heard(y))
-        counts, verdicts = counted(self.rules, state.counts, now)
-        standing, changes = self._decider.decide(state.standing, verdicts)
-        doubt = self._untested(verdicts.ready, doubt)
+        counts, standing, changes, ready = self._decider.take(state.counts, state.standing, now)
+        doubt = self._untested(ready, doubt)
         mode, named = _spread(state.standing, changes, len(t))
         reach = _reach(state.standing, changes, self.hypotheses)
         held, corrected, quality = self.correction.apply(state.held, t, y, mode, named, reach, looked.traces, doubt)
-        recent = np.concatenate([state.recent, np.stack([looked.misfit, looked.own, looked.nis], axis=2)])
+        recent = _Recent(state.recent, looked)
         over, now_open = self._events(state, t, changes, recent, looked.traces)
         shown = mode.copy()
         shown[waits > self.stale] = STALE
@@ -186,7 +198,7 @@ class Monitor:
             state.samples + len(t),
             tuple(trace.end for trace in looked.traces),
             looked.live,
-            recent[len(t) :],
+            recent.window(len(t), self.rules.window - 1),
             counts,
             standing,
             held,
@@ -255,7 +267,7 @@ class Monitor:
         state: MonitorState,
         t: Array,
         changes: Sequence[Change],
-        recent: Array,
+        recent: _Recent,
         traces: Sequence[Trace],
     ) -> tuple[list[Event], Open | None]:
         """Events that end within these samples, and the one that is going on after them."""
@@ -285,9 +297,9 @@ class Monitor:
     def _names(self) -> tuple[str, ...]:
         return tuple(h.name for h in self.hypotheses)
 
-    def _evidence(self, recent: Array, row: int) -> tuple[Evidence, ...]:
+    def _evidence(self, recent: _Recent, row: int) -> tuple[Evidence, ...]:
         """The last window up to a row, by hypothesis."""
-        window = recent[row : row + self.rules.window]
+        window = recent.window(row, self.rules.window)
         return tuple(
             Evidence(
                 name,
