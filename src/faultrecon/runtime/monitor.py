@@ -40,7 +40,7 @@ from faultrecon.storage.hashing import canonical_digest
 
 Array = NDArray[Any]
 
-BLOCK = 8192  # samples that are looked at together: some MB of tests
+BLOCK = 4096  # samples that are looked at together: more would not fit the processor's cache, fewer cost more calls
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,7 +11,8 @@ would have held without that is its content plus what was cut off above less wha
 content less the latter nor the negative of the content less the former can lie above what is allowed.
 
 Complete samples take short ways, on which every step is the same for all errors side by side: that is what processors
-are quick at.  All others take the long way, which knows every case.
+are quick at.  Where nothing is left of a start and all tests hold, whole tiles of samples go together, see `watchtile`.
+All others take the long way, which knows every case.
 """
 
 from __future__ import annotations
@@ -23,6 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from faultrecon.runtime.watchrest import FAR, GONE, add, begin_anew, fade, fall_silent, miss, rest_of
+from faultrecon.runtime.watchtile import find_errors, regular, settled_tile, tell_tile
 
 Array = NDArray[Any]
 
@@ -78,8 +80,9 @@ def pass_over(
     a silent sensor, so many missing rows, a missing input add, quick and slow.
     """
     rows, scales, errors, q = y.shape[1], limits.shape[0], limits.shape[1], fault.shape[0]
-    held, one, values = np.empty(live.shape), np.empty(TILE), np.empty((TILE, errors))
-    inverse, cut, top = np.empty(limits.shape), np.empty(errors), np.empty(errors)
+    held, one, values, tops = np.empty(live.shape), np.empty(TILE), np.empty((TILE, errors)), np.empty((TILE, errors))
+    inverse, cut, top, filters = np.empty(limits.shape), np.empty(errors), np.empty(errors), np.empty(limits.shape)
+    largest = 0.0
     held[:] = live
     for e in range(errors):
         cut[e] = CUT * limits[0, e]
@@ -88,7 +91,12 @@ def pass_over(
     owing = owes(held, limits)
     for begin in range(0, rows, TILE):
         end = min(begin + TILE, rows)
-        find_errors(y, u, state, fault, reads, offsets, weights, limits, begin, end - begin, one, values, nis)
+        wild = find_errors(y, u, state, fault, reads, offsets, weights, limits, cut, begin, end, one, values, nis)
+        if owing == NOTHING and wild == 0 and largest <= 1.0 and regular(pace, begin, end):
+            largest = settled_tile(held, values, begin, end, q, poles, inverse, filters, tops, peak, own)
+            if largest <= 1.0:
+                tell_tile(held, filters, fault, begin, end, bound, poles, faded, off, size)
+                continue
         for k in range(begin, end):
             value = values[k - begin]
             plain = pace[2, k] == 1.0 and pace[1, k] == 1.0 and pace[0, k] == 0.0 and within(value, cut)
@@ -116,47 +124,6 @@ def pass_over(
             remember(held, fault, k, pace[1, k], bound, poles, off, size)
     live[:] = held
     return 0
-
-
-def find_errors(
-    y: Array,
-    u: Array,
-    state: Array,
-    fault: Array,
-    reads: Array,
-    offsets: Array,
-    weights: Array,
-    limits: Array,
-    begin: int,
-    rows: int,
-    one: Array,
-    values: Array,
-    nis: Array,
-) -> None:
-    """The faults, and what each tested sensor shows beyond what the estimate expects; one (TILE,) to work on."""
-    n, q, r = state.shape[0], fault.shape[0], 0
-    squares = np.zeros(rows)
-    for j in range(q):
-        for k in range(rows):
-            values[k, j] = fault[j, begin + k]
-    for i in range(y.shape[0]):
-        for k in range(rows):
-            one[k] = y[i, begin + k] - offsets[i] if limits[0, q + i] < FAR else 0.0
-        while r < reads.shape[0] and int(reads[r, 0]) == i:
-            j, c = int(reads[r, 1]), reads[r, 2]
-            if j < n:
-                for k in range(rows):
-                    one[k] -= c * state[j, begin + k]
-            else:
-                for k in range(rows):
-                    one[k] -= c * u[j - n, begin + k]
-            r += 1
-        for k in range(rows):
-            values[k, q + i] = one[k]
-            noise = one[k] * weights[i]
-            squares[k] += noise * noise if abs(noise) < FAR else 0.0
-    for k in range(rows):
-        nis[begin + k, 0] = squares[k]
 
 
 def within(value: Array, cut: Array) -> bool:
@@ -324,6 +291,9 @@ LOOP = (
     fall_silent,
     miss,
     find_errors,
+    regular,
+    settled_tile,
+    tell_tile,
     owes,
     share_of,
     tell_shares,
