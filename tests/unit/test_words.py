@@ -21,7 +21,7 @@ def test_numpy_reads_a_column_of_words_as_text() -> None:
 def test_a_column_of_words_compares_row_by_row() -> None:
     assert (SAID == "bad").tolist() == [False, True, True, False]
     assert not (SAID == "unheard of").any()
-    assert (SAID == np.asarray(SAID)).all()
+    assert (np.asarray(SAID) == SAID).all()
     with pytest.raises(TypeError):
         hash(SAID)
 
