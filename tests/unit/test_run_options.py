@@ -6,6 +6,7 @@ import json
 import sys
 
 import numpy as np
+import pandas
 import pytest
 
 import faultrecon as fr
@@ -14,7 +15,7 @@ from faultrecon.io.bankfile import write_bank
 from faultrecon.io.chunks import survey
 from faultrecon.io.logs import read_log, write_log
 from faultrecon.io.plausibility import unit_doubts, unit_doubts_of
-from faultrecon.io.running import Survey
+from faultrecon.io.running import Survey, run_file
 from faultrecon.io.watched import monitoring, supervised
 from faultrecon.runtime.decision import Rules
 
@@ -167,3 +168,19 @@ def test_a_cell_that_is_no_number_is_found_before_the_work_begins(files, columns
     (files / "log.csv").write_text("\n".join(lines) + "\n")
     with pytest.raises(InputError, match=r"log\.csv:301  column mix is .oops."):
         survey(str(files / "log.csv"), fr.load(files / "design.json").plant.signals)
+
+
+@pytest.mark.parametrize("extension", ["csv", "parquet"])
+def test_a_file_made_in_pieces_says_in_words_what_the_whole_log_says(bank, columns, tmp_path, extension):
+    columns["v1"][150:] += 3.0
+    log, out = tmp_path / f"log.{extension}", tmp_path / f"out.{extension}"
+    write_log(log, columns)
+    run_file(monitoring(bank), bank.plant.signals, log, out=out, piece=90, as_it_came=True)
+    whole = fr.watch(bank, log).table
+    read = pandas.read_csv(out, keep_default_na=False) if extension == "csv" else pandas.read_parquet(out)
+    words = [name for name, values in whole.items() if values.dtype.kind == "U"]
+    assert {"mode", "fault", "v1_quality"} <= set(words)
+    for name in words:
+        assert read[name].dtype.kind in "OU"  # text, not the numbers that stand for it
+        assert read[name].tolist() == whole[name].tolist()
+    assert len(set(read["v1_quality"])) > 1

@@ -25,6 +25,7 @@ from faultrecon.storage.checkpoint import settle_folder
 if TYPE_CHECKING:
     import pyarrow as pa
 
+SCHEMA = 2  # of the working file
 WORDS = b"words"  # in the schema of the working file: those that the numbers of a column stand for
 
 
