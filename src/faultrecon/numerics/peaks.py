@@ -17,6 +17,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from faultrecon.numerics.lag import Lag
+
 Array = NDArray[Any]
 
 BLOCK = 256  # samples of the impulse response that are computed at once
@@ -32,6 +34,7 @@ FADED = 1e-4  # of the unit, or of the largest value if that is less: a response
 AT_ONCE = 1e-9  # per sample: a rate below it is that of nothing
 WATCHED = 4  # blocks after which a response that has not faded is bounded mode by mode
 APART = 1e9  # condition of the modes up to which that says something
+AT_HAND = 2**15  # numbers that a processor's nearest cache but one holds
 LONGEST_FADE = 2**17  # samples of a fading response that are looked at
 LONGEST = 2**20  # samples: there it ends in any case
 
@@ -125,15 +128,15 @@ def _blocks(outputs: Outputs, X: Array, held: Array, poles: Array) -> Iterator[A
 
     The stack is filtered instead of what it makes of X.  held (filters, d, r), what each brings along, is updated.
     """
-    from scipy.signal import lfilter
-
     (n, r, _), d = outputs.in_time.shape, len(X)
-    filtered = [lfilter([1.0 - a], [1.0, -a], outputs.in_time, axis=2) if a else outputs.in_time for a in poles]
+    lags, nothing = [Lag(a, 1.0 - a, BLOCK) for a in poles], np.zeros((n, r))
+    filtered = [lag.over(outputs.in_time, nothing).reshape(n, r * BLOCK) for lag in lags]
     fades = [a ** np.arange(BLOCK) for a in poles]
     room = np.empty((len(poles), d, r, BLOCK))
+    sheet = room.reshape(len(poles), d, r * BLOCK)
     while True:
         for i, a in enumerate(poles):
-            np.matmul(X, filtered[i].reshape(n, r * BLOCK), out=room[i].reshape(d, r * BLOCK))
+            np.matmul(X, filtered[i], out=sheet[i])
             if a:
                 room[i] += held[i, :, :, None] * fades[i]
                 held[i] = a * room[i, :, :, -1]
@@ -211,10 +214,9 @@ def _least(ends: Array, table: Array, cuts: NDArray[np.intp], quick: Array, slow
 def _envelope(outputs: Outputs, box: Array, units: Array) -> tuple[Array, Array]:
     """The largest outputs within stretches that end at `ends`, (stretches,) and (stretches, r); never quite zero."""
     blocks, X, top, faded = [], box, 0.0, 0.0
-    each, modes = np.ones(box.shape[1]), None
+    modes = None
     while len(blocks) * BLOCK < LONGEST_FADE:
-        responses = outputs.stack @ X
-        block = (np.abs(responses, out=responses) @ each).reshape(BLOCK, len(units)) / units
+        block = _sizes(outputs.stack, X).reshape(BLOCK, len(units)) / units
         blocks.append(block)
         top = max(top, float(block.max(initial=0.0)))
         faded = FADED * min(top, 1.0)
@@ -234,6 +236,18 @@ def _envelope(outputs: Outputs, box: Array, units: Array) -> tuple[Array, Array]
         ends = np.concatenate([ends, len(table) + np.append(starts[1:], starts[-1] + 1)[:kept] - 1])
         largest = np.vstack([largest, tail[:kept]])
     return ends.astype(float), np.maximum(largest, np.finfo(float).tiny)
+
+
+def _sizes(rows: Array, X: Array) -> Array:
+    """How large each row of a product gets for columns of which any |share| ≤ 1; some rows at a time, for the cache."""
+    found, each = np.empty(len(rows)), np.ones(X.shape[1])
+    few = max(1, AT_HAND // X.shape[1])
+    room = np.empty((few, X.shape[1]))
+    for k in range(0, len(rows), few):
+        some = rows[k : k + few]
+        product = np.matmul(some, X, out=room[: len(some)])
+        np.abs(product, out=product).dot(each, out=found[k : k + few])
+    return found
 
 
 def _modes(outputs: Outputs, X: Array, units: Array) -> tuple[Array, Array] | None:

@@ -199,7 +199,8 @@ def _boxes(first: Beginning, estimator: Estimator, system: ErrorSystem, allowanc
     fresh = np.hstack([system.fresh * sizes, system.waiting * sizes])
     own = system.start[: len(estimator.observer.A)]
     box = first.box(estimator.observer, own, allowance.crest, allowance.noise_peak)
-    return tuple(np.hstack([taller(one, len(fresh)), fresh]) for one in (box, first.blind_box(own)))
+    height = len(fresh)
+    return np.hstack([taller(box, height), fresh]), np.hstack([taller(first.blind_box(own), height), fresh])
 
 
 def _sizes_of(plant: Plant, allowance: Allowance, zeta: Array, slipped: float) -> Sizes:

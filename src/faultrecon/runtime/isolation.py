@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 from faultrecon.finding import Inconclusive
 from faultrecon.graph.compiled import Program, load, obstacle, plain_text
 from faultrecon.numerics.discretise import zoh
+from faultrecon.numerics.lag import Lag
 from faultrecon.numerics.peaks import BLOCK, Outputs, gains
 from faultrecon.plant.fault import FaultChannel
 from faultrecon.plant.plant import Plant
@@ -94,7 +95,8 @@ def isolation(watches: Sequence[Watch], systems: Sequence[ErrorSystem], hypothes
         share = peak / watch.limits[:, :, None]
         share[peak <= NOTHING * peak.max(initial=0.0)] = 0.0
         outputs = Outputs(system.M / rho, system.C[:E])
-        starts = np.stack([_starts(watch, len(system.M), fault) for fault in faults], axis=1)
+        newest = observer_step(watch.estimator).B1
+        starts = np.stack([_starts(watch, newest, len(system.M), fault) for fault in faults], axis=1)
         silent, more = _over(outputs, starts, poles, rho, watch.limits, share, sizes)
         parts.append((share + more).reshape(-1, len(faults)).T)
         deaf.append(silent)
@@ -123,14 +125,16 @@ def effect(watch: Watch, system: ErrorSystem, fault: FaultChannel) -> tuple[Arra
     return system.moved @ moved, np.zeros(len(system.C))
 
 
-def _starts(watch: Watch, height: int, fault: FaultChannel) -> Array:
+def _starts(watch: Watch, newest: Array, height: int, fault: FaultChannel) -> Array:
     """What one unit of a fault at the first sample does to the first ζ, (nz, 3): it has misled the guess.
 
     With a complete sample; where the sensors that the guess does not read are silent, and the guess stands in for
-    them; and where there is no guess, so that z is zero, while ζ leaves out what the sample is taken to have put in.
+    them; and where there is no guess, so that z is zero, while ζ leaves out what the sample is taken to have put in:
+    `newest` times it.
     """
     observer, plant, K = watch.estimator.observer, watch.plant, watch.bounds.beginning.K
     m, starts = observer.inputs, np.zeros((height, 3))
+    newest = newest[:, m:]
     if fault.site != "sensor":
         return starts
     F = replace(plant, faults=(fault,)).F_f[:, 0]
@@ -138,7 +142,6 @@ def _starts(watch: Watch, height: int, fault: FaultChannel) -> Array:
     misled = K @ F
     back = np.linalg.pinv(observer.Cx if observer.prior is None else observer.prior)
     shows = observer.Dx[:, m:] if observer.prior is None else np.zeros((plant.n, plant.p))
-    newest = observer_step(watch.estimator).B1[:, m:]
     filled = np.where(unread, plant.C @ misled, F)
     nz = len(observer.A)
     starts[:nz, 0] = back @ (misled - shows @ F) - newest @ F
@@ -162,14 +165,18 @@ def _over(
     enough = np.maximum(LATER * share, LITTLE / sizes[:, None, None])
     done, left, over = np.zeros(faults), np.zeros(share.shape), np.zeros(faults, dtype=bool)
     floor = NOTHING * float((np.abs(X) @ np.abs(outputs.C.T)).max(initial=0.0))
-    held, table = np.zeros((len(poles), faults, r, 1)), np.empty((faults, len(poles), r, BLOCK))
+    lags, held = [Lag(a / rho, 1.0 - a, BLOCK) for a in poles], np.zeros((len(poles), faults, r))
+    table = np.empty((faults, len(poles), r, BLOCK))
     for begin in range(0, LONGEST, BLOCK):
         each = X @ responds
         size = np.abs(each, out=each).reshape(faults, kinds, r, BLOCK).max(axis=1)
         size[size <= floor] = 0.0
         if outputs.slowest >= 1.0:
             return np.where(size.any(axis=(1, 2)), np.inf, 0.0), np.moveaxis(left, 0, 2)
-        _filter(size, poles, rho, held, limits, table)
+        for i, lag in enumerate(lags):
+            one = lag.over(size, held[i]) if lag.keeps else size
+            held[i] = one[..., -1]
+            np.divide(one, limits[i][:, None], out=table[:, i])
         most = table.max(axis=3)
         left, more = np.maximum(left, most), most > enough
         for j in np.flatnonzero(np.any(more, axis=(1, 2))):
@@ -180,17 +187,6 @@ def _over(
             return done, np.moveaxis(left, 0, 2)
         over, X = np.all(most <= enough, axis=(1, 2)), X @ outputs.power.T
     return np.where(over, done, np.inf), np.moveaxis(left, 0, 2)
-
-
-def _filter(size: Array, poles: Array, rho: float, held: Array, limits: Array, table: Array) -> None:
-    """Sizes (faults, r, BLOCK) behind every filter, in bounds, into table (faults, scales, r, BLOCK); held changes."""
-    from scipy.signal import lfilter
-
-    for i, a in enumerate(poles):
-        one = size
-        if a:
-            one, held[i] = lfilter([1.0 - a], [1.0, -a / rho], size, axis=2, zi=held[i])
-        np.divide(one, limits[i][:, None], out=table[:, i])
 
 
 @cache
