@@ -3,6 +3,7 @@
 
 import math
 from dataclasses import replace
+from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
@@ -27,7 +28,7 @@ T, ROWS, FIRST = 0.05, 420, 260  # the row of the first gap
 class Eager(Watch):
     """A watch that reads what absences do whether anything is missing or not."""
 
-    @property
+    @cached_property
     def _none_missing(self):
         return self._some_missing
 

@@ -19,6 +19,6 @@ def test_a_lag_is_its_recursion_from_block_to_block(length, keeps):
     for begin in range(0, 3 * length, length):
         found = lag.over(x[..., begin : begin + length], held)
         np.testing.assert_allclose(
-            found, np.moveaxis(wanted[begin : begin + length], 0, -1), rtol=1e-12, atol=1e-13 * length
+            found, np.array(wanted[begin : begin + length]).transpose(1, 2, 0), rtol=1e-12, atol=1e-13 * length
         )  # rounding of so many terms, all of them of the order of one
         held = found[..., -1]

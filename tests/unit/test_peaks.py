@@ -113,3 +113,12 @@ def test_with_given_rates_both_parts_share_what_fades():
     found = fading(Outputs(M, C), box, np.ones(1), rate)
     np.testing.assert_array_equal(found.rate, rate)
     assert (found.first / (1.0 - rate)).sum() <= 2.0 * (1.0 / 0.7 + 0.01 / 0.01)
+
+
+def test_of_pairs_with_the_same_sum_the_slow_part_alone_is_taken():
+    """At two equal rates all pairs add up to the same; rounding does not choose between them, output by output."""
+    rng = np.random.default_rng(3)
+    M, box, C, _ = system(rng, n=5, d=4, radius=0.95)
+    found = fading(Outputs(M, C), box, np.ones(3), np.full((2, 3), 0.97))
+    np.testing.assert_array_equal(found.first[0], 0.0)
+    assert np.isfinite(found.first).all()
