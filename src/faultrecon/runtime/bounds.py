@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from typing import Any, Literal
 
@@ -108,28 +108,17 @@ def bounds(
 ) -> Bounds:
     """The bounds of an estimator on its plant; smoothing: poles of the low-pass filters, the first of them 0."""
     allowance = allowance or Allowance()
-    rows, nz = system.faults + system.sensors, len(system.M)
-    inner, still = (
-        np.vstack([system.C[rows:], np.eye(nz)]),
-        np.vstack([system.D[rows:], np.zeros((nz, len(system.sources)))]),
-    )
-    errors = _Steady.of(system, allowance, system.C[:rows], system.D[:rows], smoothing)
-    states = _Steady.of(system, allowance, inner, still, (0.0,))  # of these no filtered ones are asked for
-    slips = states.slips(system, allowance)
-    certain, within = (one.fed(system, slips) for one in (errors, states))
-    first = Beginning.of(plant)
+    errors, states = _steady(system, allowance, smoothing)
+    first, rows = Beginning.of(plant), system.faults + system.sensors
     box, blind = _boxes(first, estimator, system, allowance)
-    units = np.append(
-        certain[0] + allowance.noise_peak * errors.random[0], within[0] + allowance.noise_peak * states.random[0]
-    )
-    least = LEAST * np.abs(inner @ box).sum(axis=1)
-    units[rows:] = np.nan_to_num(units[rows:], posinf=0.0) + least
+    least = LEAST * np.abs(_inner(system) @ box).sum(axis=1)
+    units = np.append(errors.largest(allowance), np.nan_to_num(states.largest(allowance), posinf=0.0) + least)
     units = np.maximum(units, np.finfo(float).tiny)
     slipped = system.slope * float(np.linalg.norm(units[rows : len(system.C)]))
     zeta = units[len(system.C) :][: len(estimator.observer.A)]
     fades, start = Fades.of(system, units, box)
     return Bounds(
-        certain,
+        errors.certain,
         errors.random,
         fades.errors(start),
         fades.errors(fades.begin(blind)),
@@ -144,7 +133,7 @@ def bounds(
 
 @dataclass(frozen=True, eq=False)
 class _Steady:
-    """What outputs can get to behind each filter, (scales, r): certain, random; but for what φ(x̂) - φ(x) adds."""
+    """What outputs can get to behind each filter, (scales, r): for certain, and the deviation that noise adds."""
 
     found: Gains
     certain: Array
@@ -152,7 +141,7 @@ class _Steady:
 
     @staticmethod
     def of(system: ErrorSystem, allowance: Allowance, C: Array, D: Array, smoothing: tuple[float, ...]) -> _Steady:
-        """By what is declared, for outputs C ζ + D d."""
+        """By what is declared, for outputs C ζ + D d; without what φ(x̂) - φ(x) adds."""
         found = _whichever(system, gains(system.M, system.B, C, D, smoothing))
         sizes, noise = _sizes(system, allowance)
         certain, random = _product(found.peak, sizes), np.sqrt(_product(np.square(found.noise), np.square(noise)))
@@ -165,19 +154,39 @@ class _Steady:
         columns = [k for k, source in enumerate(system.sources) if source.kind == "nonlinearity"]
         return np.asarray(self.found.peak[:, :, columns].sum(axis=2))
 
+    def largest(self, allowance: Allowance) -> Array:
+        """With as much noise as is allowed, unfiltered, (r,)."""
+        return self.certain[0] + allowance.noise_peak * self.random[0]
+
     def slips(self, system: ErrorSystem, allowance: Allowance) -> float:
         """How large φ(x̂) - φ(x) gets by the small-gain argument, where φ reads the first outputs; inf without bound."""
         if system.slope == 0.0:
             return 0.0
         reads = slice(0, len(system.C) - system.faults - system.sensors)
-        alone = self.certain[0, reads] + allowance.noise_peak * self.random[0, reads]
+        alone = float(np.linalg.norm(self.largest(allowance)[reads]))
         gain = system.slope * float(np.linalg.norm(self.through(system)[0, reads]))
-        return system.slope * float(np.linalg.norm(alone)) / (1.0 - gain) if gain < 1.0 else math.inf
+        return system.slope * alone / (1.0 - gain) if gain < 1.0 else math.inf
 
-    def fed(self, system: ErrorSystem, slips: float) -> Array:
-        """`certain` with what φ(x̂) - φ(x) adds."""
+    def fed(self, system: ErrorSystem, slips: float) -> _Steady:
+        """With what φ(x̂) - φ(x) adds."""
         through = self.through(system)
-        return self.certain + np.multiply(through, slips, out=np.zeros_like(through), where=through > 0.0)
+        more = np.multiply(through, slips, out=np.zeros_like(through), where=through > 0.0)
+        return replace(self, certain=self.certain + more)
+
+
+def _steady(system: ErrorSystem, allowance: Allowance, smoothing: tuple[float, ...]) -> tuple[_Steady, _Steady]:
+    """Of the errors; and of what φ reads and of ζ, which nobody asks for behind filters."""
+    rows, nz = system.faults + system.sensors, len(system.M)
+    errors = _Steady.of(system, allowance, system.C[:rows], system.D[:rows], smoothing)
+    still = np.vstack([system.D[rows:], np.zeros((nz, len(system.sources)))])
+    states = _Steady.of(system, allowance, _inner(system), still, (0.0,))
+    slips = states.slips(system, allowance)
+    return errors.fed(system, slips), states.fed(system, slips)
+
+
+def _inner(system: ErrorSystem) -> Array:
+    """What φ reads, and ζ, as outputs of ζ."""
+    return np.vstack([system.C[system.faults + system.sensors :], np.eye(len(system.M))])
 
 
 def _whichever(system: ErrorSystem, found: Gains) -> Gains:
