@@ -17,6 +17,7 @@ from faultrecon.runtime.errors import error_system
 from faultrecon.runtime.estimator import Estimator
 from faultrecon.runtime.filling import Prediction
 from faultrecon.runtime.isolation import _ask, _compiled, _starts, isolation
+from faultrecon.runtime.steps import observer_step
 from faultrecon.runtime.watch import Batch, Findings
 from faultrecon.runtime.watch import _compiled as compiled_watch
 from faultrecon.runtime.watchloop import pass_over
@@ -266,7 +267,8 @@ def test_what_a_start_does_to_the_tests_is_what_is_computed(tanks, kind, lacks):
             assert (guess is None) == bool(lacks)
             trace = watch.estimator.replay(t, u, seen, x=guess)
             errors.append(np.hstack([trace.fault, seen - trace.state @ watch.plant.C.T]))
-        zeta = _starts(watch, len(system.M), FaultChannel("a", {"a": 1.0}))[:, 2 if lacks else 0]
+        newest = observer_step(watch.estimator).B1
+        zeta = _starts(watch, newest, len(system.M), FaultChannel("a", {"a": 1.0}))[:, 2 if lacks else 0]
         into, out = (part @ F for part in system.reading)
         shown = []
         for _ in range(300):

@@ -322,18 +322,20 @@ def test_no_error_after_gaps_lies_outside_the_steady_bound_and_what_fades(seed, 
 
 def left(limits, t, u, y, whole):
     """What is left of the start and of all that is missing, in bounds, (N, q + p); sample by sample, as it is meant."""
-    parts, found = limits.start / limits.rate, []
+    absent, found = limits.absences, []
+    rate = np.vstack([limits.rate, absent.rate])
+    parts = np.vstack([limits.start / limits.rate, np.zeros_like(absent.rate)])
     for k in range(len(t)):
-        before, parts = 1.0 + parts[:, -1].sum(), parts * limits.rate
+        before, parts = 1.0 + parts[:, -1].sum(), parts * rate
         rows = round((t[k] - t[k - 1]) / T) - 1 if k else 0
         if rows:
             assert whole[k - 1]
             assert whole[k]
-            parts[2:] += limits.skipped[rows - 1] * (before if limits.scales else 1.0)
+            parts[2:] += absent.skipped[rows - 1] * (before if absent.scales else 1.0)
         for i in np.flatnonzero(np.isnan(u[k])):
-            parts[2:] += limits.unfed[i]
+            parts[2:] += absent.unfed[i]
         for i in np.flatnonzero(np.isnan(y[k])):
-            parts[2:] += limits.lost[i] * before
+            parts[2:] += absent.lost[i] * before
         found.append(parts[:, :-1].sum(axis=0))
     return np.array(found)
 
@@ -391,18 +393,16 @@ def test_what_is_left_of_gaps_and_silence_fades_at_its_own_pace():
     plant = declaring(plant, wild(plant, "linear", np.random.default_rng(0), 200))
     estimator = estimator_of(plant, following(plant), "linear")
     limits = bounds(plant, estimator, error_system(plant, estimator), Allowance(noise_peak=PEAK))
-    one = (limits.skipped[0] / (1.0 - limits.rate[2:])).sum(axis=0)
+    one = (limits.absences.skipped[0] / (1.0 - limits.absences.rate)).sum(axis=0)
     assert np.all(one[:1] < 0.2 * (limits.start / (1.0 - limits.rate)).sum(axis=0)[:1])
-    assert not limits.start[2:].any()
-    assert not limits.anew[2:].any()
 
 
 def test_what_is_not_known_is_infinite_and_said_to_be_assumed():
     plant = random_plant(np.random.default_rng(1))
     estimator = estimator_of(plant, following(plant), "linear")
     limits = bounds(plant, estimator, error_system(plant, estimator))
-    assert np.isinf(limits.skipped).all()
-    assert np.isfinite(limits.unfed).all()
+    assert np.isinf(limits.absences.skipped).all()
+    assert np.isfinite(limits.absences.unfed).all()
     assert any("missing inputs and silent sensors are accounted for" in one for one in limits.assumptions)
     assert any("no larger than that of an observer at rest" in one for one in limits.assumptions)
 

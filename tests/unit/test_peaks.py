@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from scipy.linalg import solve_discrete_lyapunov
 
-from faultrecon.numerics.peaks import OVER, fading, gains
+from faultrecon.numerics.peaks import OVER, Outputs, fading, gains
 
 TRUNCATED = 20 * OVER  # relative: what a sum that ends where a block adds less than OVER may lack, slow modes included
 
@@ -93,7 +93,7 @@ def test_what_fades_stays_below_its_two_parts_until_it_has_faded(seed, given):
     units = np.array([1e-3, 1.0, 50.0])
     slowest = np.abs(np.linalg.eigvals(M)).max()
     rate = np.array([[0.4], [0.5 * (1.0 + slowest)]]) * np.ones(3) if given else None
-    found = fading(M, C, box, units, rate)
+    found = fading(Outputs(M, C), box, units, rate)
     X = box
     for k in range(6000):
         size = np.abs(C @ X).sum(axis=1) / units
@@ -102,7 +102,7 @@ def test_what_fades_stays_below_its_two_parts_until_it_has_faded(seed, given):
 
 
 def test_what_does_not_fade_is_said_to_last():
-    found = fading(np.eye(1), np.eye(1), np.eye(1), np.ones(1))
+    found = fading(Outputs(np.eye(1), np.eye(1)), np.eye(1), np.ones(1))
     assert np.all(np.isinf(found.first))
     assert np.all(found.rate == 1.0)
 
@@ -110,6 +110,15 @@ def test_what_does_not_fade_is_said_to_last():
 def test_with_given_rates_both_parts_share_what_fades():
     """A quick mode and a slow one a hundredth as large: in the slow part alone they would count for a hundred times."""
     M, C, box, rate = np.diag([0.3, 0.99]), np.ones((1, 2)), np.array([[1.0], [0.01]]), np.array([[0.4], [0.991]])
-    found = fading(M, C, box, np.ones(1), rate)
+    found = fading(Outputs(M, C), box, np.ones(1), rate)
     np.testing.assert_array_equal(found.rate, rate)
     assert (found.first / (1.0 - rate)).sum() <= 2.0 * (1.0 / 0.7 + 0.01 / 0.01)
+
+
+def test_of_pairs_with_the_same_sum_the_slow_part_alone_is_taken():
+    """At two equal rates all pairs add up to the same; rounding does not choose between them, output by output."""
+    rng = np.random.default_rng(3)
+    M, box, C, _ = system(rng, n=5, d=4, radius=0.95)
+    found = fading(Outputs(M, C), box, np.ones(3), np.full((2, 3), 0.97))
+    np.testing.assert_array_equal(found.first[0], 0.0)
+    assert np.isfinite(found.first).all()

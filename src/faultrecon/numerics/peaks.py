@@ -9,12 +9,15 @@ standard deviation s leaves sqrt(Σₖ hₖ²) s.  Both also for y behind low-pa
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+
+from faultrecon.numerics.lag import Lag
 
 Array = NDArray[Any]
 
@@ -24,10 +27,14 @@ NOTHING = 1e-10  # of the largest sum of an output: rounding
 STEADY = 1e-3  # of the distance to 1: how little the ratio of two blocks may change for the rest to be geometric
 GROWING = 2.0  # from block to block: a sum that is not about to end
 BEYOND = 300.0  # as a logarithm: sizes that no sequence worth having begins with
+MOST = 690.0  # as a logarithm: how much larger than at its end a quick part is taken to have been
+EQUAL = 1e-9  # relative: sums that differ by no more are the same
+CUTS = 4  # stretches between two places where a slow part may begin to be all
 FADED = 1e-4  # of the unit, or of the largest value if that is less: a response below it has faded
 AT_ONCE = 1e-9  # per sample: a rate below it is that of nothing
 WATCHED = 4  # blocks after which a response that has not faded is bounded mode by mode
 APART = 1e9  # condition of the modes up to which that says something
+AT_HAND = 2**15  # numbers that a processor's nearest cache but one holds
 LONGEST_FADE = 2**17  # samples of a fading response that are looked at
 LONGEST = 2**20  # samples: there it ends in any case
 
@@ -40,50 +47,106 @@ class Gains:
     noise: Array
 
 
+@dataclass(frozen=True, eq=False)
+class Outputs:
+    """The outputs C x of x⁺ = M x, and what all questions about them have in common: M (n, n), C (r, n)."""
+
+    M: Array
+    C: Array
+
+    @cached_property
+    def slowest(self) -> float:
+        """The largest |eigenvalue| of M, 0 without a state."""
+        return float(np.abs(np.linalg.eigvals(self.M)).max(initial=0.0))
+
+    @cached_property
+    def _powers(self) -> tuple[Array, Array]:
+        rows, power = [self.C], self.M
+        while len(rows) * len(self.C) < BLOCK * len(self.C):
+            rows += [one @ power for one in rows]
+            power = power @ power
+        return np.vstack(rows), power
+
+    @property
+    def stack(self) -> Array:
+        """[C; C M; ...; C M^(BLOCK-1)], (BLOCK r, n)."""
+        return self._powers[0]
+
+    @property
+    def power(self) -> Array:
+        """M^BLOCK."""
+        return self._powers[1]
+
+    @cached_property
+    def in_time(self) -> Array:
+        """The stack by state, output and sample, (n, r, BLOCK): what is done along the samples is done in a row."""
+        r, n = self.C.shape
+        return np.ascontiguousarray(self.stack.reshape(BLOCK, r, n).transpose(2, 1, 0))
+
+    @cached_property
+    def modes(self) -> tuple[Array, Array] | None:
+        """Eigenvalues and eigenvectors of M; None where these are too alike to say something."""
+        values, vectors = np.linalg.eig(self.M)
+        return (values, vectors) if np.linalg.cond(vectors) <= APART else None
+
+
 def gains(M: Array, B: Array, C: Array, D: Array, smoothing: Sequence[float] = (0.0,)) -> Gains:
     """Peak and noise gains of x⁺ = M x + B d, y = C x + D d, plain sums in floating point.
 
     M (n, n), B (n, d), C (r, n), D (r, d).  smoothing: the poles a of the filters, 0 <= a < 1; 0 is no filter.
     """
-    from scipy.signal import lfilter
-
     poles = np.asarray(smoothing, dtype=float)
     n, r, d = M.shape[0], C.shape[0], B.shape[1]
-    peak, energy = np.zeros((len(poles), r, d)), np.zeros((len(poles), r, d))
     if r == 0 or d == 0:
-        return Gains(peak, energy)
-    slowest = float(np.abs(np.linalg.eigvals(M)).max()) if n else 0.0
-    if slowest >= 1.0:
-        seen = _reaches(M, B, C)[None] | np.zeros((len(poles), 1, 1), dtype=bool)
-        return Gains(np.where(seen, np.inf, np.abs(D)), np.where(seen, np.inf, np.abs(D)))
-    stack, power = observations(M, C)
-    states = [np.zeros((1, r, d)) for _ in poles]
-    block, X, done, agreed = D[None], B, 0, 0
-    before, last = np.zeros((2, *peak.shape)), np.full((2, *peak.shape), np.inf)
-    while True:
-        added = np.zeros((2, *peak.shape))
-        for i, a in enumerate(poles):
-            response, states[i] = lfilter([1.0 - a], [1.0, -a], block, axis=0, zi=states[i])
-            added[0, i] = np.abs(response).sum(axis=0)
-            added[1, i] = np.square(response).sum(axis=0)
-        peak += added[0]
-        energy += added[1]
-        done += len(block)
-        if n == 0 and not any(np.any(s) for s in states):
-            return Gains(peak, np.sqrt(energy))
+        return Gains(*np.zeros((2, len(poles), r, d)))
+    outputs = Outputs(M, C)
+    if outputs.slowest >= 1.0:
+        seen = _reaches(outputs, B)[None] | np.zeros((len(poles), 1, 1), dtype=bool)
+        return Gains(*(np.where(seen, np.inf, np.abs(D)) for _ in range(2)))
+    begins = (1.0 - poles)[:, None, None] * D.T
+    held, sums = poles[:, None, None] * begins, _added(np.abs(begins)[..., None])
+    before, last, agreed = sums, np.where(sums > 0, GROWING, 0.0), 0
+    for done, added in enumerate(_blocks(outputs, B.T, held, poles)):
+        sums = sums + added
         ratio = np.divide(added, before, out=np.where(added > 0, GROWING, 0.0), where=GROWING * before > added)
         # where two ratios agree the slowest mode is alone, and the rest is geometric
         steady = (ratio < 1.0) & (np.abs(ratio - last) <= STEADY * (1.0 - ratio))
-        over = (added[0] <= OVER * peak) | (peak <= NOTHING * peak.max(axis=2, keepdims=True))
-        agreed = agreed + 1 if done > 1 and np.all(steady | over) else 0
-        if agreed == 2 or done >= LONGEST:
-            rest = min(slowest**BLOCK, 1.0 - np.finfo(float).eps)
+        over = (added[0] <= OVER * sums[0]) | (sums[0] <= NOTHING * sums[0].max(axis=1, keepdims=True))
+        agreed = agreed + 1 if np.all(steady | over) else 0
+        if agreed == 2 or done * BLOCK >= LONGEST or not (n or held.any()):
+            rest = min(outputs.slowest**BLOCK, 1.0 - np.finfo(float).eps)
             ratio = np.where(steady, ratio, np.where(over, 0.0, rest))
-            total = np.stack([peak, energy]) + added * ratio / (1.0 - ratio)
-            return Gains(total[0], np.sqrt(total[1]))
+            sums = sums + added * ratio / (1.0 - ratio)
+            break
         before, last = added, ratio
-        block = (stack @ X).reshape(BLOCK, r, d)
-        X = power @ X
+    peak, energy = np.swapaxes(sums, 2, 3)
+    return Gains(peak, np.sqrt(energy))
+
+
+def _blocks(outputs: Outputs, X: Array, held: Array, poles: Array) -> Iterator[Array]:
+    """What block after block of the response to X (d, n) adds to both sums, without end; see `_added`.
+
+    The stack is filtered instead of what it makes of X.  held (filters, d, r), what each brings along, is updated.
+    """
+    (n, r, _), d = outputs.in_time.shape, len(X)
+    lags, nothing = [Lag(a, 1.0 - a, BLOCK) for a in poles], np.zeros((n, r))
+    filtered = [lag.over(outputs.in_time, nothing).reshape(n, r * BLOCK) for lag in lags]
+    fades = [a ** np.arange(BLOCK) for a in poles]
+    room = np.empty((len(poles), d, r, BLOCK))
+    sheet = room.reshape(len(poles), d, r * BLOCK)
+    while True:
+        for i, a in enumerate(poles):
+            np.matmul(X, filtered[i], out=sheet[i])
+            if a:
+                room[i] += held[i, :, :, None] * fades[i]
+                held[i] = a * room[i, :, :, -1]
+        yield _added(np.abs(room, out=room))
+        X = X @ outputs.power.T
+
+
+def _added(sizes: Array) -> Array:
+    """The sums of sizes and of their squares over the samples, (2, filters, d, r), of (filters, d, r, samples)."""
+    return np.stack([sizes.sum(axis=3), np.einsum("idrk,idrk->idr", sizes, sizes)])
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,68 +160,70 @@ class Fading:
     rate: Array
 
 
-def fading(M: Array, C: Array, box: Array, units: Array, rate: Array | None = None) -> Fading:
-    """How fast |C Mᵏ box| fades, each output in its unit: C (r, n), box (n, k), columns of which any |share| ≤ 1.
+def fading(outputs: Outputs, box: Array, units: Array, rate: Array | None = None) -> Fading:
+    """How fast |C Mᵏ box| fades, each output in its unit: box (n, k), columns of which any |share| ≤ 1.
 
     Of all such pairs above an output, until it has faded, one with nearly the smallest sum is taken; rate (2, r): of
     those with these rates.
     """
-    r = C.shape[0]
-    if not M.size or not box.size:
+    r, slowest = len(outputs.C), outputs.slowest
+    if not outputs.M.size or not box.size:
         return Fading(np.zeros((2, r)), np.zeros((2, r)) if rate is None else rate)
-    slowest = float(np.abs(np.linalg.eigvals(M)).max())
     if slowest >= 1.0:
         return Fading(np.full((2, r), np.inf), np.ones((2, r)) if rate is None else rate)
-    ends, table = _envelope(M, C, box, units)
-    best = np.full(r, np.inf), Fading(np.full((2, r), np.inf), np.full((2, r), slowest))
+    ends, table = _envelope(outputs, box, units)
+    cuts = np.arange(0, len(ends), CUTS)
     if rate is not None:
-        return Fading(_least(best, ends, table, rate[1], lambda _: rate[0])[1].first, rate)
+        return Fading(_least(ends, table, cuts, np.tile(rate[0], (len(cuts), 1)), rate[1:]).first, rate)
     tries = np.concatenate([1.0 - (1.0 - slowest) * 0.5 ** np.arange(1, 3), slowest**1.5 ** np.arange(16)])
-    for slow in tries[tries > AT_ONCE]:
-        best = _least(best, ends, table, np.full(r, slow), lambda end: np.full(r, np.exp(-3.0 / max(end, 1.0))))
-    return best[1]
+    quick = np.exp(-3.0 / np.maximum(ends[cuts - 1], 1.0))
+    return _least(ends, table, cuts, quick[:, None], tries[tries > AT_ONCE, None])
 
 
-def _least(
-    best: tuple[Array, Fading], ends: Array, table: Array, slow: Array, quick: Callable[[float], Array]
-) -> tuple[Array, Fading]:
-    """The best sums and their pairs, where none with this slow rate has a smaller one, by output.
+def _least(ends: Array, table: Array, cuts: NDArray[np.intp], quick: Array, slow: Array) -> Fading:
+    """The pairs with the smallest sums, by output.
 
-    The slow part lies above all from one stretch on, the quick one, at a rate that goes by where that is, above what
-    is left before it.
+    The slow part, at one of the rates slow (tries, r or 1), lies above all from one of the cuts on; the quick part, at
+    the rate quick (cuts, r or 1) that goes by the cut, above what is left before it.
     """
-    total, found = best
-    decay = np.multiply.outer(ends, np.log(slow))
-    tails = np.maximum.accumulate((np.log(table) - decay)[::-1], axis=0)[::-1]
-    for cut in range(0, len(ends), 4):
-        size, more, rate = np.exp(np.minimum(tails[cut], BEYOND)), 0.0 * slow, 0.0 * slow
-        if cut:
-            rate = quick(ends[cut - 1])
-            rest = np.maximum(table[:cut] - size * np.exp(decay[:cut]), np.finfo(float).tiny)
-            earlier = np.max(np.log(rest) - np.multiply.outer(ends[:cut], np.log(rate)), axis=0)
-            more = np.exp(np.minimum(earlier, BEYOND))
-        sums = more / (1.0 - rate) + size / (1.0 - slow)
-        pair = Fading(np.vstack([more, size]), np.vstack([rate, slow]))
-        found = Fading(*(np.where(sums < total, *two) for two in ((pair.first, found.first), (pair.rate, found.rate))))
-        total = np.minimum(total, sums)
-    return total, found
+    decay = ends[:, None] * np.log(slow)[:, None]
+    tails = np.maximum.accumulate((np.log(table) - decay)[:, ::-1], axis=1)[:, ::-1]
+    size, falls = np.exp(np.minimum(tails[:, cuts], BEYOND)), np.exp(decay)
+    more, quick = np.zeros(size.shape), np.where(cuts[:, None] > 0, quick, 0.0)
+    for c, cut in enumerate(cuts[1:], 1):  # what is less than e^(BEYOND - MOST) is nothing
+        grows = np.exp(np.minimum(-ends[:cut, None] * np.log(quick[c]), MOST))
+        rest = size[:, None, c] * falls[:, :cut]
+        np.subtract(table[:cut], rest, out=rest)
+        with np.errstate(over="ignore"):
+            rest *= grows
+        more[:, c] = rest.max(axis=1)
+    more = np.clip(more, 0.0, np.exp(BEYOND))
+    sums = more / (1.0 - quick) + size / (1.0 - slow[:, None])
+    sums = np.where(np.isnan(sums), np.inf, sums).reshape(-1, table.shape[1])
+    best = np.argmax(sums <= (1.0 + EQUAL) * sums.min(axis=0), axis=0)  # the first, or rounding would have its say
+    each = np.arange(table.shape[1])
+
+    def taken(part: Array) -> Array:
+        return np.broadcast_to(part, size.shape).reshape(sums.shape)[best, each]
+
+    known = sums[best, each] < np.inf
+    first = np.where(known, np.vstack([taken(more), taken(size)]), np.inf)
+    return Fading(first, np.vstack([taken(quick[None]), taken(slow[:, None])]))
 
 
-def _envelope(M: Array, C: Array, box: Array, units: Array) -> tuple[Array, Array]:
+def _envelope(outputs: Outputs, box: Array, units: Array) -> tuple[Array, Array]:
     """The largest outputs within stretches that end at `ends`, (stretches,) and (stretches, r); never quite zero."""
-    stack, power = observations(M, C)
     blocks, X, top, faded = [], box, 0.0, 0.0
-    each, modes = np.ones(box.shape[1]), None
+    modes = None
     while len(blocks) * BLOCK < LONGEST_FADE:
-        responses = stack @ X
-        block = (np.abs(responses, out=responses) @ each).reshape(BLOCK, len(C)) / units
+        block = _sizes(outputs.stack, X).reshape(BLOCK, len(units)) / units
         blocks.append(block)
         top = max(top, float(block.max(initial=0.0)))
         faded = FADED * min(top, 1.0)
         if float(block.max(initial=0.0)) <= faded:
             break
-        X = power @ X
-        if len(blocks) == WATCHED and (modes := _modes(M, C, X, units)) is not None:
+        X = outputs.power @ X
+        if len(blocks) == WATCHED and (modes := _modes(outputs, X, units)) is not None:
             break
     table = np.concatenate(blocks)
     edges = np.unique(np.concatenate([np.arange(17), np.geomspace(16, len(table), 120).astype(int)]))
@@ -173,26 +238,28 @@ def _envelope(M: Array, C: Array, box: Array, units: Array) -> tuple[Array, Arra
     return ends.astype(float), np.maximum(largest, np.finfo(float).tiny)
 
 
-def _modes(M: Array, C: Array, X: Array, units: Array) -> tuple[Array, Array] | None:
+def _sizes(rows: Array, X: Array) -> Array:
+    """How large each row of a product gets for columns of which any |share| ≤ 1; some rows at a time, for the cache."""
+    found, each = np.empty(len(rows)), np.ones(X.shape[1])
+    few = max(1, AT_HAND // X.shape[1])
+    room = np.empty((few, X.shape[1]))
+    for k in range(0, len(rows), few):
+        some = rows[k : k + few]
+        product = np.matmul(some, X, out=room[: len(some)])
+        np.abs(product, out=product).dot(each, out=found[k : k + few])
+    return found
+
+
+def _modes(outputs: Outputs, X: Array, units: Array) -> tuple[Array, Array] | None:
     """Sizes (r, n) and rates (n,) with |C M^k X| <= sizes rate^k, mode by mode; None where these are too alike."""
-    values, vectors = np.linalg.eig(M)
-    if not np.linalg.cond(vectors) <= APART:
+    if outputs.modes is None:
         return None
+    values, vectors = outputs.modes
     weights = np.abs(np.linalg.solve(vectors, X)).sum(axis=1)
-    return np.abs(C @ vectors) * weights / units[:, None], np.abs(values)
+    return np.abs(outputs.C @ vectors) * weights / units[:, None], np.abs(values)
 
 
-def observations(M: Array, C: Array) -> tuple[Array, Array]:
-    """[C; C M; ...; C M^(BLOCK-1)] and M^BLOCK."""
-    rows, power = [C], M
-    while len(rows) * len(C) < BLOCK * len(C):
-        rows += [one @ power for one in rows]
-        power = power @ power
-    return np.vstack(rows), power
-
-
-def _reaches(M: Array, B: Array, C: Array) -> NDArray[np.bool_]:
+def _reaches(outputs: Outputs, B: Array) -> NDArray[np.bool_]:
     """Which outputs an input reaches through the state at all, (r, d)."""
-    stack, _ = observations(M, C)
-    seen = np.abs((stack @ B).reshape(-1, len(C), B.shape[1])).max(axis=0)
+    seen = np.abs((outputs.stack @ B).reshape(-1, len(outputs.C), B.shape[1])).max(axis=0)
     return np.asarray(seen > 0)

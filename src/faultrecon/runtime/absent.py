@@ -58,7 +58,8 @@ def absences(plant: Plant, estimator: Estimator, sizes: Sizes) -> list[Absence]:
     """By channel, for a sample that lacks it; the one before may have lacked it too."""
     pair = Pair.of(plant, estimator)
     unknown = _unknown(pair, sizes)
-    whole = _step(estimator, None, None)
+    complete = estimator._general.stepper(_mask(plant.p, None), _mask(plant.p, None))
+    whole = step_with(estimator, complete.A, complete.B)
     return [_absence(pair, unknown, whole, i) for i in range(plant.p)]
 
 
@@ -82,7 +83,7 @@ def _absence(o: Pair, unknown: _Unknown, whole: ObserverStep, i: int) -> Absence
     m = o.plant.B.shape[1]
     row = m + i
     estimator, Z, V0, V1 = o.estimator, unknown.Z, unknown.V0, unknown.V1
-    here, after = _step(estimator, None, i), _step(estimator, i, None)
+    here, after = (_step(estimator, *lacking, whole) for lacking in ((None, i), (i, None)))
     filling = estimator._general.stepper(_mask(o.plant.p, None), _mask(o.plant.p, i)).after
 
     def followed(Z: Array, V0: Array, V1: Array, N: Array) -> tuple[Array, Array, Array]:
@@ -109,13 +110,18 @@ def _absence(o: Pair, unknown: _Unknown, whole: ObserverStep, i: int) -> Absence
     moved = times(np.abs(o.C @ short + np.outer(o.Dy[:, i], off[0])), size).sum(axis=1)
     silent = np.append(reads_directly(estimator.observer)[:, i], np.arange(o.plant.p) == i)
     moved[: len(silent)][silent] = 0.0  # those rows say nothing at this sample
-    return Absence(np.append(moved, np.abs(times(short, size)).sum(axis=1)), times(later, size))
+    return Absence(np.append(moved, np.abs(times(short, size)).sum(axis=1)), that_matter(times(later, size)))
 
 
 def times(table: Array, size: Array) -> Array:
     """Columns times their sizes, where nothing times infinity is nothing."""
     with np.errstate(invalid="ignore"):
         return np.where(table == 0.0, 0.0, table * size)
+
+
+def that_matter(columns: Array) -> Array:
+    """Without those that are zero."""
+    return np.asarray(columns[:, np.any(columns != 0.0, axis=0)])
 
 
 def _unknown(o: Pair, sizes: Sizes) -> _Unknown:
@@ -155,11 +161,11 @@ def _unknown(o: Pair, sizes: Sizes) -> _Unknown:
     return _Unknown(Z, np.vstack([u0, y0]), np.vstack([u1, y1]), N, size)
 
 
-def _step(estimator: Estimator, before: int | None, after: int | None) -> ObserverStep:
-    """One step of the observer between samples of which one lacks a channel."""
+def _step(estimator: Estimator, before: int | None, after: int | None, whole: ObserverStep) -> ObserverStep:
+    """One step of the observer between samples of which one lacks a channel; `whole` where nothing is filled in."""
     p = len(estimator.observer.y0)
     stepper = estimator._general.stepper(_mask(p, before), _mask(p, after))
-    return step_with(estimator, stepper.A, stepper.B)
+    return step_with(estimator, stepper.A, stepper.B) if stepper.during.predicted else whole
 
 
 def _mask(p: int, lacking: int | None) -> NDArray[np.bool_]:

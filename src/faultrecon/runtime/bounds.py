@@ -15,26 +15,25 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from faultrecon.numerics.peaks import Gains, fading, gains
+from faultrecon.numerics.peaks import Gains, gains
 from faultrecon.plant.plant import Plant
-from faultrecon.runtime.absent import Absence, Sizes, absences, diverging
+from faultrecon.runtime.absences import Absences
+from faultrecon.runtime.absent import Sizes
 from faultrecon.runtime.beginning import ANYWHERE, Beginning
 from faultrecon.runtime.errors import ErrorSystem, is_noise
 from faultrecon.runtime.estimator import Estimator
-from faultrecon.runtime.missing import gaps, inputs_missing
+from faultrecon.runtime.fades import Fades, taller
 
 Array = NDArray[Any]
 NoiseModel = Literal["gaussian", "bounded"]
 
 LEAST = 1e-2  # of the start: how small the unit of a ζ is at least, so that one that nothing drives has one
-QUICKEST = 1e-2  # rate per sample: below it an error is gone in any case
-SUDDEN = 0.3  # the same for what counts from one sample before: at rate ρ it adds up to 1/ρ/(1 - ρ)
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,14 +55,11 @@ class Bounds:
 
     certain, random (scales, q + p): what declared bounds allow the errors f̂ - f and y - ŷ behind each low-pass filter,
     and the standard deviation that noise adds to it.
-    What is left of an unknown start, and of what was missing, is counted in units of the steady bounds, by error; the
-    last entry is for ζ itself.  Of both there is a quick and a slow part, which makes four, (4, q + p + 1): `start` at
-    the first sample, `blind` where that one lacks something, `rate` per sample; those of what was missing begin at 0.
-    To these two add, (each, 2, q + p + 1): `skipped` at the sample after 1, 2, ... missing rows, `unfed` and `lost` at
-    a sample that lacks this input, or this sensor.  `lost` counts so many times as 1 and what is left in ζ at the
-    sample before; so does `skipped` if it `scales`.  A gap lies between samples that lack nothing, and no sensor is
-    silent at, before or after a sample that lacks an input: of all else, and of what is infinite, nothing is known.
-    diverges (p + 1,): 1 for each sensor without which the error grows, the last without several.
+    What is left of an unknown start is counted in units of the steady bounds, by error; the last entry is for ζ itself.
+    It has a quick and a slow part, (2, q + p + 1): `start` at the first sample, `blind` where that one lacks something,
+    `rate` per sample.  What was missing adds to that; it takes longer to find out, and is not looked for before it is
+    asked for: `absences`.
+    said: what must be true of complete samples.
     """
 
     certain: Array
@@ -71,19 +67,25 @@ class Bounds:
     start: Array
     blind: Array
     rate: Array
-    skipped: Array
-    unfed: Array
-    lost: Array
-    scales: bool
-    diverges: Array
+    look_for_absences: Callable[[], Absences]
     beginning: Beginning
     allowance: Allowance
-    assumptions: tuple[str, ...]
+    said: tuple[str, ...]
     faults: int
 
     @cached_property
+    def absences(self) -> Absences:
+        """What rows, inputs and sensors that are missing add."""
+        return self.look_for_absences()
+
+    @cached_property
+    def assumptions(self) -> tuple[str, ...]:
+        """What must be true for the bounds to hold, in sentences."""
+        return (*self.said, *self.absences.said)
+
+    @cached_property
     def anew(self) -> Array:
-        """What is left, (4, q + p + 1), where nothing is known any more."""
+        """What is left, (2, q + p + 1), where nothing is known any more."""
         return np.maximum(self.start, self.blind)
 
     @cached_property
@@ -106,43 +108,85 @@ def bounds(
 ) -> Bounds:
     """The bounds of an estimator on its plant; smoothing: poles of the low-pass filters, the first of them 0."""
     allowance = allowance or Allowance()
-    rows, nz = system.faults + system.sensors, len(system.M)
-    every = np.vstack([system.C, np.eye(nz)])
-    found = gains(system.M, system.B, every, np.vstack([system.D, np.zeros((nz, system.D.shape[1]))]), smoothing)
-    found = _whichever(system, found)
-    sizes, noise = _sizes(system, allowance)
-    certain = _product(found.peak, sizes)
-    spread = np.sqrt(_product(np.square(found.noise), np.square(noise)))
-    if allowance.noise == "bounded":
-        certain, spread = certain + allowance.noise_peak * _product(found.peak, noise), np.zeros_like(spread)
-    certain = certain + _nonlinearity(system, found.peak, certain[0] + allowance.noise_peak * spread[0])
-    steady = certain[0] + allowance.noise_peak * spread[0]
-    first = Beginning.of(plant)
+    errors, states = _steady(system, allowance, smoothing)
+    first, rows = Beginning.of(plant), system.faults + system.sensors
     box, blind = _boxes(first, estimator, system, allowance)
-    units = np.nan_to_num(steady, posinf=0.0) + LEAST * np.abs(every @ box).sum(axis=1)
-    units = np.maximum(np.append(steady[:rows], units[rows:]), np.finfo(float).tiny)
+    least = LEAST * np.abs(_inner(system) @ box).sum(axis=1)
+    units = np.append(errors.largest(allowance), np.nan_to_num(states.largest(allowance), posinf=0.0) + least)
+    units = np.maximum(units, np.finfo(float).tiny)
     slipped = system.slope * float(np.linalg.norm(units[rows : len(system.C)]))
     zeta = units[len(system.C) :][: len(estimator.observer.A)]
-    missing = _Missing.of(plant, estimator, _sizes_of(plant, allowance, zeta, slipped))
-    fades = _Fades.of(system, every, units, box, missing.usual)
-    skipped = fades.tables([fades.come(one) for one in missing.gaps])
-    unfed, lost = (fades.tables([fades.follow(one) for one in each]) for each in (missing.inputs, missing.sensors))
+    fades, start = Fades.of(system, units, box)
     return Bounds(
-        certain[:, :rows],
-        spread[:, :rows],
-        fades.outputs(np.vstack([fades.start, np.zeros_like(fades.start)])),
-        fades.outputs(np.vstack([fades.begin(blind), np.zeros_like(fades.start)])),
-        fades.outputs(fades.rate),
-        skipped,
-        unfed,
-        lost,
-        estimator.scheme == "sampled",
-        diverging(estimator),
+        errors.certain,
+        errors.random,
+        fades.errors(start),
+        fades.errors(fades.begin(blind)),
+        fades.errors(fades.rate),
+        partial(Absences.of, plant, estimator, _sizes_of(plant, allowance, zeta, slipped), fades),
         first,
         allowance,
-        (*_assumptions(plant, estimator, system, allowance, first.undeclared), *_of_missing(skipped, unfed, lost)),
+        _assumptions(plant, estimator, system, allowance, first.undeclared),
         system.faults,
     )
+
+
+@dataclass(frozen=True, eq=False)
+class _Steady:
+    """What outputs can get to behind each filter, (scales, r): for certain, and the deviation that noise adds."""
+
+    found: Gains
+    certain: Array
+    random: Array
+
+    @staticmethod
+    def of(system: ErrorSystem, allowance: Allowance, C: Array, D: Array, smoothing: tuple[float, ...]) -> _Steady:
+        """By what is declared, for outputs C ζ + D d; without what φ(x̂) - φ(x) adds."""
+        found = _whichever(system, gains(system.M, system.B, C, D, smoothing))
+        sizes, noise = _sizes(system, allowance)
+        certain, random = _product(found.peak, sizes), np.sqrt(_product(np.square(found.noise), np.square(noise)))
+        if allowance.noise == "bounded":
+            return _Steady(found, certain + allowance.noise_peak * _product(found.peak, noise), np.zeros_like(random))
+        return _Steady(found, certain, random)
+
+    def through(self, system: ErrorSystem) -> Array:
+        """What one unit of φ(x̂) - φ(x) adds, (scales, r)."""
+        columns = [k for k, source in enumerate(system.sources) if source.kind == "nonlinearity"]
+        return np.asarray(self.found.peak[:, :, columns].sum(axis=2))
+
+    def largest(self, allowance: Allowance) -> Array:
+        """With as much noise as is allowed, unfiltered, (r,)."""
+        return self.certain[0] + allowance.noise_peak * self.random[0]
+
+    def slips(self, system: ErrorSystem, allowance: Allowance) -> float:
+        """How large φ(x̂) - φ(x) gets by the small-gain argument, where φ reads the first outputs; inf without bound."""
+        if system.slope == 0.0:
+            return 0.0
+        reads = slice(0, len(system.C) - system.faults - system.sensors)
+        alone = float(np.linalg.norm(self.largest(allowance)[reads]))
+        gain = system.slope * float(np.linalg.norm(self.through(system)[0, reads]))
+        return system.slope * alone / (1.0 - gain) if gain < 1.0 else math.inf
+
+    def fed(self, system: ErrorSystem, slips: float) -> _Steady:
+        """With what φ(x̂) - φ(x) adds."""
+        through = self.through(system)
+        more = np.multiply(through, slips, out=np.zeros_like(through), where=through > 0.0)
+        return replace(self, certain=self.certain + more)
+
+
+def _steady(system: ErrorSystem, allowance: Allowance, smoothing: tuple[float, ...]) -> tuple[_Steady, _Steady]:
+    """Of the errors; and of what φ reads and of ζ, which nobody asks for behind filters."""
+    rows, nz = system.faults + system.sensors, len(system.M)
+    errors = _Steady.of(system, allowance, system.C[:rows], system.D[:rows], smoothing)
+    still = np.vstack([system.D[rows:], np.zeros((nz, len(system.sources)))])
+    states = _Steady.of(system, allowance, _inner(system), still, (0.0,))
+    slips = states.slips(system, allowance)
+    return errors.fed(system, slips), states.fed(system, slips)
+
+
+def _inner(system: ErrorSystem) -> Array:
+    """What φ reads, and ζ, as outputs of ζ."""
+    return np.vstack([system.C[system.faults + system.sensors :], np.eye(len(system.M))])
 
 
 def _whichever(system: ErrorSystem, found: Gains) -> Gains:
@@ -164,12 +208,8 @@ def _boxes(first: Beginning, estimator: Estimator, system: ErrorSystem, allowanc
     fresh = np.hstack([system.fresh * sizes, system.waiting * sizes])
     own = system.start[: len(estimator.observer.A)]
     box = first.box(estimator.observer, own, allowance.crest, allowance.noise_peak)
-    return _with(box, fresh), _with(first.blind_box(own), fresh)
-
-
-def _with(box: Array, fresh: Array) -> Array:
-    """Columns for the observer's own states beside columns for all of ζ."""
-    return np.hstack([np.vstack([box, np.zeros((len(fresh) - len(box), box.shape[1]))]), fresh])
+    height = len(fresh)
+    return np.hstack([taller(box, height), fresh]), np.hstack([taller(first.blind_box(own), height), fresh])
 
 
 def _sizes_of(plant: Plant, allowance: Allowance, zeta: Array, slipped: float) -> Sizes:
@@ -178,118 +218,6 @@ def _sizes_of(plant: Plant, allowance: Allowance, zeta: Array, slipped: float) -
     w = [(peak if w.role == "noise" else allowance.crest) * w.size for w in plant.disturbances]
     sd = np.zeros(plant.p) if plant.noise is None else np.array(plant.noise.sd)
     return Sizes(zeta, np.array(w), peak * sd, slipped)
-
-
-@dataclass(frozen=True, eq=False)
-class _Missing:
-    """What rows, inputs and sensors that are missing do to the error."""
-
-    gaps: list[Absence]
-    inputs: list[Absence]
-    sensors: list[Absence]
-
-    @staticmethod
-    def of(plant: Plant, estimator: Estimator, sizes: Sizes) -> _Missing:
-        """While ζ is within its steady bound."""
-        return _Missing(
-            gaps(plant, estimator, sizes), inputs_missing(plant, estimator), absences(plant, estimator, sizes)
-        )
-
-    @property
-    def usual(self) -> Array:
-        """One row or one sensor, (nz, k), as far as anything is known."""
-        each = [one.later for one in (self.gaps[0], *self.sensors)]
-        known = [one for one in each if _known(one)]
-        return np.hstack(known) if known else np.zeros((len(each[0]), 0))
-
-
-def _known(later: Array) -> bool:
-    return bool(np.isfinite(later).all())
-
-
-@dataclass(frozen=True, eq=False)
-class _Fades:
-    """How every output and every ζ fades, in units: start (2, rows + nz), by a quick and by a slow part.
-
-    rate (4, rows + nz): of the start, and of what was missing.
-    What fades is fed on by φ(x̂) - φ(x), which goes back to what φ reads: by the small-gain argument for outputs that
-    are weighed with rate^-k.  through (rows + nz,): what one unit of it adds then; back: what it makes of one unit.
-    """
-
-    system: ErrorSystem
-    every: Array
-    units: Array
-    start: Array
-    rate: Array
-    through: Array
-    back: float
-
-    @staticmethod
-    def of(system: ErrorSystem, every: Array, units: Array, box: Array, missing: Array) -> _Fades:
-        """From a box of ζ to begin with, and one of what is added where something is missing."""
-        rows, columns = len(every), [k for k, s in enumerate(system.sources) if s.kind == "nonlinearity"]
-        if not columns or system.slope == 0.0:
-            begins = fading(system.M, every, box, units)
-            later = fading(system.M, every, _with(missing, np.zeros((len(system.M), 0))), units)
-            rate = np.vstack([np.maximum(begins.rate, QUICKEST), np.maximum(later.rate, SUDDEN)])
-            return _Fades(system, every, units, begins.first, rate, np.zeros(rows), 0.0)
-        slowest = float(np.abs(np.linalg.eigvals(system.M)).max(initial=0.0))
-        reads = slice(system.faults + system.sensors, len(system.C))
-        for rate in 1.0 - (1.0 - slowest) * 0.5 ** np.arange(1, 12) if slowest < 1.0 else ():
-            peak = gains(system.M / rate, system.B[:, columns] / rate, every, np.zeros((rows, len(columns)))).peak[0]
-            through = peak.sum(axis=1)
-            gain = system.slope * float(np.linalg.norm(through[reads]))
-            if gain < 1.0:
-                rates, nothing = np.full((4, rows), max(rate, QUICKEST)), np.zeros((2, rows))
-                fades = _Fades(system, every, units, nothing, rates, through, system.slope / (1.0 - gain))
-                return replace(fades, start=fades.begin(box))
-        return _Fades(system, every, units, np.full((2, rows), math.inf), np.ones((4, rows)), np.zeros(rows), math.inf)
-
-    def begin(self, box: Array) -> Array:
-        """From another box, (2, rows + nz)."""
-        if math.isinf(self.back):
-            return self.start
-        return self.fed(fading(self.system.M, self.every, box, self.units, self.rate[:2]).first)
-
-    def come(self, absence: Absence) -> Array:
-        """What is added at the sample at which ζ is another, (2, rows + nz)."""
-        return self._after(absence, lambda first: first)
-
-    def follow(self, absence: Absence) -> Array:
-        """What is added at the sample before that, and lasts until then, (2, rows + nz)."""
-        at_once = np.zeros(len(self.units))
-        at_once[: len(absence.at_once)] = absence.at_once
-
-        def before(first: Array) -> Array:
-            earlier = first / self.rate[2:]
-            earlier[0] += np.maximum(at_once / self.units - earlier.sum(axis=0), 0.0)
-            return earlier
-
-        return self._after(absence, before)
-
-    def _after(self, absence: Absence, counted: Callable[[Array], Array]) -> Array:
-        if math.isinf(self.back) or not _known(absence.later):
-            return np.full(self.start.shape, math.inf)
-        box = _with(absence.later, np.zeros((len(self.system.M), 0)))
-        return self.fed(counted(fading(self.system.M, self.every, box, self.units, self.rate[2:]).first))
-
-    def fed(self, first: Array) -> Array:
-        """With what the nonlinearity makes of it; first (2, rows + nz)."""
-        if self.back == 0.0:
-            return first
-        reads = slice(self.system.faults + self.system.sensors, len(self.system.C))
-        size = self.back * float(np.linalg.norm((first * self.units).sum(axis=0)[reads]))
-        return first + np.vstack([np.zeros(len(self.units)), self.through * size / self.units])
-
-    def outputs(self, table: Array) -> Array:
-        """The errors' columns, and as the last the largest of those of ζ and of what the nonlinearity reads."""
-        rows = self.system.faults + self.system.sensors
-        return np.column_stack([table[:, :rows], table[:, rows:].max(axis=1, initial=0.0)])
-
-    def tables(self, each: list[Array]) -> Array:
-        """The same of several, (each, 2, ...)."""
-        rows = self.system.faults + self.system.sensors
-        return np.array([self.outputs(one) for one in each]).reshape(len(each), 2, rows + 1)
 
 
 def _sizes(system: ErrorSystem, allowance: Allowance) -> tuple[Array, Array]:
@@ -310,19 +238,6 @@ def _product(table: Array, sizes: Array) -> Array:
     with np.errstate(invalid="ignore"):
         each = table * sizes
     return np.nansum(each, axis=-1)
-
-
-def _nonlinearity(system: ErrorSystem, peak: Array, alone: Array) -> Array:
-    """What φ(x̂) - φ(x) adds to each error, by the small-gain argument: (scales, r); inf where that finds no bound."""
-    columns = [k for k, s in enumerate(system.sources) if s.kind == "nonlinearity"]
-    reads = slice(system.faults + system.sensors, len(system.C))
-    if not columns or system.slope == 0.0:
-        return np.zeros(peak.shape[:2])
-    through = peak[:, :, columns].sum(axis=2)
-    gain = system.slope * float(np.linalg.norm(through[0, reads]))
-    if not gain < 1.0:
-        return np.where(through > 0, math.inf, 0.0)
-    return through * (system.slope * float(np.linalg.norm(alone[reads])) / (1.0 - gain))
 
 
 def _assumptions(
@@ -367,14 +282,3 @@ def _assumptions(
     said.append("samples come at regular times, or a whole number of sample times apart")
     said.append("the plant is the model")
     return tuple(said)
-
-
-def _of_missing(skipped: Array, unfed: Array, lost: Array) -> tuple[str, ...]:
-    """What is accounted for where something is missing, and what must be true of the rest, in sentences."""
-    rows, inputs, sensors = (int(np.isfinite(each).all(axis=(1, 2)).sum()) for each in (skipped, unfed, lost))
-    parts = [f"gaps of up to {rows} row{'s' * (rows > 1)}"] if rows else []
-    parts += ["missing inputs"] if inputs and inputs == len(unfed) else []
-    parts += ["silent sensors"] if sensors and sensors == len(lost) else []
-    said = [f"{' and '.join(parts)} are accounted for where they do not meet each other"] if parts else []
-    when = "beyond that" if parts else "where rows, inputs or sensors are missing"
-    return (*said, f"{when} the error is no larger than that of an observer at rest")

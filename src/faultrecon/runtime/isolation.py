@@ -24,7 +24,8 @@ from numpy.typing import NDArray
 from faultrecon.finding import Inconclusive
 from faultrecon.graph.compiled import Program, load, obstacle, plain_text
 from faultrecon.numerics.discretise import zoh
-from faultrecon.numerics.peaks import BLOCK, gains, observations
+from faultrecon.numerics.lag import Lag
+from faultrecon.numerics.peaks import BLOCK, Outputs, gains
 from faultrecon.plant.fault import FaultChannel
 from faultrecon.plant.plant import Plant
 from faultrecon.runtime.errors import ErrorSystem
@@ -93,8 +94,10 @@ def isolation(watches: Sequence[Watch], systems: Sequence[ErrorSystem], hypothes
         peak *= ((1.0 - poles) / (1.0 - poles / rho))[:, None, None]
         share = peak / watch.limits[:, :, None]
         share[peak <= NOTHING * peak.max(initial=0.0)] = 0.0
-        starts = np.stack([_starts(watch, len(system.M), fault) for fault in faults], axis=1)
-        silent, more = _over(system.M / rho, starts, system.C[:E], poles, rho, watch.limits, share, sizes)
+        outputs = Outputs(system.M / rho, system.C[:E])
+        newest = observer_step(watch.estimator).B1
+        starts = np.stack([_starts(watch, newest, len(system.M), fault) for fault in faults], axis=1)
+        silent, more = _over(outputs, starts, poles, rho, watch.limits, share, sizes)
         parts.append((share + more).reshape(-1, len(faults)).T)
         deaf.append(silent)
     counts = [len(plant.faults) for plant in hypotheses]
@@ -122,14 +125,16 @@ def effect(watch: Watch, system: ErrorSystem, fault: FaultChannel) -> tuple[Arra
     return system.moved @ moved, np.zeros(len(system.C))
 
 
-def _starts(watch: Watch, height: int, fault: FaultChannel) -> Array:
+def _starts(watch: Watch, newest: Array, height: int, fault: FaultChannel) -> Array:
     """What one unit of a fault at the first sample does to the first ζ, (nz, 3): it has misled the guess.
 
     With a complete sample; where the sensors that the guess does not read are silent, and the guess stands in for
-    them; and where there is no guess, so that z is zero, while ζ leaves out what the sample is taken to have put in.
+    them; and where there is no guess, so that z is zero, while ζ leaves out what the sample is taken to have put in:
+    `newest` times it.
     """
     observer, plant, K = watch.estimator.observer, watch.plant, watch.bounds.beginning.K
     m, starts = observer.inputs, np.zeros((height, 3))
+    newest = newest[:, m:]
     if fault.site != "sensor":
         return starts
     F = replace(plant, faults=(fault,)).F_f[:, 0]
@@ -137,7 +142,6 @@ def _starts(watch: Watch, height: int, fault: FaultChannel) -> Array:
     misled = K @ F
     back = np.linalg.pinv(observer.Cx if observer.prior is None else observer.prior)
     shows = observer.Dx[:, m:] if observer.prior is None else np.zeros((plant.n, plant.p))
-    newest = observer_step(watch.estimator).B1[:, m:]
     filled = np.where(unread, plant.C @ misled, F)
     nz = len(observer.A)
     starts[:nz, 0] = back @ (misled - shows @ F) - newest @ F
@@ -147,41 +151,42 @@ def _starts(watch: Watch, height: int, fault: FaultChannel) -> Array:
 
 
 def _over(
-    M: Array, starts: Array, C: Array, poles: Array, rho: float, limits: Array, share: Array, sizes: Array
+    outputs: Outputs, starts: Array, poles: Array, rho: float, limits: Array, share: Array, sizes: Array
 ) -> tuple[Array, Array]:
     """After how many samples a start is over, by fault, and what may be left of it then in each test, as `share`.
 
-    M over ρ.  starts (nz, faults, kinds).  limits (scales, r), share (scales, r, faults), sizes (faults,).  Responses
-    are taken by their size before they are filtered, because a filter may begin, and be without samples, at any time.
+    outputs: M over ρ.  starts (nz, faults, kinds).  limits (scales, r), share (scales, r, faults), sizes (faults,).
+    Responses are taken by their size before they are filtered, because a filter may begin, and be without samples, at
+    any time.
     """
-    from scipy.signal import lfilter
-
-    _, r, faults = share.shape
-    X, enough = starts.reshape(len(M), -1), np.maximum(LATER * share, LITTLE / sizes)
+    share, r = np.moveaxis(share, 2, 0), share.shape[1]
+    nz, faults, kinds = starts.shape
+    X, responds = starts.reshape(nz, faults * kinds).T, outputs.in_time.reshape(nz, r * BLOCK)
+    enough = np.maximum(LATER * share, LITTLE / sizes[:, None, None])
     done, left, over = np.zeros(faults), np.zeros(share.shape), np.zeros(faults, dtype=bool)
-    floor = NOTHING * float((np.abs(C) @ np.abs(X)).max(initial=0.0))
-    stack, power = observations(M, C)
-    fades = not len(M) or float(np.abs(np.linalg.eigvals(M)).max()) < 1.0
-    held = [np.zeros((1, r, faults)) for _ in poles]
+    floor = NOTHING * float((np.abs(X) @ np.abs(outputs.C.T)).max(initial=0.0))
+    lags, held = [Lag(a / rho, 1.0 - a, BLOCK) for a in poles], np.zeros((len(poles), faults, r))
+    table = np.empty((faults, len(poles), r, BLOCK))
     for begin in range(0, LONGEST, BLOCK):
-        size = np.abs(stack @ X).reshape(BLOCK, r, *starts.shape[1:]).max(axis=3)
+        each = X @ responds
+        size = np.abs(each, out=each).reshape(faults, kinds, r, BLOCK).max(axis=1)
         size[size <= floor] = 0.0
-        if not fades:
-            return np.where(size.any(axis=(0, 1)), np.inf, 0.0), left
-        found = []
-        for i, a in enumerate(poles):
-            one, held[i] = lfilter([1.0 - a], [1.0, -a / rho], size, axis=0, zi=held[i])
-            found.append(one / limits[i][:, None])
-        table = np.stack(found, axis=1)
-        most, above = table.max(axis=0), np.any(table > enough, axis=(1, 2))
-        left = np.maximum(left, most)
-        for j in np.flatnonzero(np.any(above, axis=0)):
-            last = int(np.flatnonzero(above[:, j])[-1]) + 1
-            done[j], left[..., j] = begin + last, table[last:, ..., j].max(axis=0, initial=0.0)
+        if outputs.slowest >= 1.0:
+            return np.where(size.any(axis=(1, 2)), np.inf, 0.0), np.moveaxis(left, 0, 2)
+        for i, lag in enumerate(lags):
+            one = lag.over(size, held[i]) if lag.keeps else size
+            held[i] = one[..., -1]
+            np.divide(one, limits[i][:, None], out=table[:, i])
+        most = table.max(axis=3)
+        left, more = np.maximum(left, most), most > enough
+        for j in np.flatnonzero(np.any(more, axis=(1, 2))):
+            above = np.any(table[j, more[j]] > enough[j, more[j], None], axis=0)
+            last = int(np.flatnonzero(above)[-1]) + 1
+            done[j], left[j] = begin + last, table[j, ..., last:].max(axis=2, initial=0.0)
         if np.all(most <= OVER * enough):
-            return done, left
-        over, X = np.all(most <= enough, axis=(0, 1)), power @ X
-    return np.where(over, done, np.inf), left
+            return done, np.moveaxis(left, 0, 2)
+        over, X = np.all(most <= enough, axis=(1, 2)), X @ outputs.power.T
+    return np.where(over, done, np.inf), np.moveaxis(left, 0, 2)
 
 
 @cache

@@ -19,13 +19,14 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from faultrecon.plant.plant import Plant
-from faultrecon.runtime.absent import Absence, Sizes, times
+from faultrecon.runtime.absent import Absence, Sizes, that_matter, times
 from faultrecon.runtime.errors import NOTHING, Pair, is_noise, sizes_of_phi
 from faultrecon.runtime.estimator import Estimator
 from faultrecon.runtime.stepping import Hold, Stepper
@@ -77,6 +78,12 @@ def inputs_missing(plant: Plant, estimator: Estimator) -> list[Absence]:
     return held
 
 
+@lru_cache(maxsize=1)
+def _matrices(whole: Stepper, sample_time: float) -> tuple[Array, ...]:
+    """Of one step; a gap takes the same one over and over."""
+    return whole.matrices(sample_time)
+
+
 # ---------------------------------------------------------------- how far two observers are apart
 
 
@@ -107,7 +114,7 @@ def _further(o: Pair, apart: _Apart, stages: tuple[Array, Array, Array]) -> _Apa
         slips = _slips(o, apart, first)
         z = whole.A @ apart.z + whole.B @ _wide(first, len(apart.size))
         return _Apart(z, apart.size).wider(whole.N, slips)
-    Ad, B0, B1, N0, N1 = whole.matrices(T)
+    Ad, B0, B1, N0, N1 = _matrices(whole, T)
     driven = _wide(B0 @ first + B1 @ last, len(apart.size))
     begins = _slips(o, apart, first)
     linear = _Apart(Ad @ apart.z + driven, apart.size)
@@ -181,7 +188,8 @@ class _Unknown:
 
     def pick(self, name: str, i: int = 0) -> Array:
         """The matrix that takes one part out of the vector."""
-        return np.eye(len(self.size))[self.places[name, i]]
+        place = self.places[name, i]
+        return np.eye(place.stop - place.start, len(self.size), place.start)
 
 
 @dataclass(frozen=True, eq=False)
@@ -325,8 +333,7 @@ def _reach(table: Array, size: Array) -> Array:
 
 def _columns(apart: _Apart) -> Array:
     """Columns of which any |share| ≤ 1 may be had; those of nothing are left out."""
-    found = times(apart.z, apart.size)
-    return np.asarray(found[:, np.any(found != 0.0, axis=0)])
+    return that_matter(times(apart.z, apart.size))
 
 
 def _ranges(declared: Sequence[float]) -> Array:

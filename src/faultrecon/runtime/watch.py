@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from faultrecon.finding import Inconclusive
 from faultrecon.graph.compiled import Program, load, obstacle, plain_text
 from faultrecon.plant.plant import Plant
+from faultrecon.runtime.absences import Absences
 from faultrecon.runtime.bounds import Bounds
 from faultrecon.runtime.estimator import Estimator
 from faultrecon.runtime.samples import Trace, columns
@@ -66,6 +67,11 @@ class Batch:
         pace[1] = np.where(waits < 1.0 - REGULAR, waits, 1.0)
         pace[2] = sums == 0.0
         return Batch(np.ascontiguousarray(u.T), np.ascontiguousarray(y.T), pace)
+
+    @cached_property
+    def complete(self) -> bool:
+        """Whether no row is missing, and nothing in any."""
+        return bool(np.all(self.pace[2] == 1.0) and not self.pace[0].any())
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,7 +133,7 @@ class Watch:
         scales = len(self.poles)
         live = np.zeros((rows_of(scales), self.bounds.faults + self.plant.p + 1))
         begins = self.bounds.blind if blind else self.bounds.start
-        live[4 * scales : 4 * scales + 4] = begins / self.bounds.rate  # the first sample is one step on from there
+        live[4 * scales : 4 * scales + 2] = begins / self.bounds.rate  # the first sample is one step on from there
         return live
 
     @property
@@ -160,14 +166,35 @@ class Watch:
 
     @cached_property
     def _fixed(self) -> tuple[Array, ...]:
-        """What the loop reads beside the samples."""
-        b, width = self.bounds, self.bounds.rate.shape[1]
+        """What the loop reads beside the samples, whatever they lack."""
+        b = self.bounds
         return (
             *(self._reads, self._offsets, self._weights, np.minimum(self.limits, FAR)),
             *(np.array([*self.poles, self.memory]), forgiving(b.steady)[0, : b.faults]),
-            *(np.append(b.diverges, b.scales), b.rate, b.anew),
-            *(each.reshape(-1, width) for each in (b.lost, b.skipped, b.unfed)),
         )
+
+    @cached_property
+    def _none_missing(self) -> tuple[Array, ...]:
+        """What it reads of absences while there are none and nothing is left of any: their shape alone."""
+        nothing, none = np.zeros_like(self.bounds.rate), np.zeros((0, *self.bounds.rate.shape))
+        return self._of_absences(Absences(nothing, none, none, none, False, np.zeros(self.plant.p + 1)))
+
+    @cached_property
+    def _some_missing(self) -> tuple[Array, ...]:
+        """What it reads of absences where there are any."""
+        return self._of_absences(self.bounds.absences)
+
+    def _of_absences(self, found: Absences) -> tuple[Array, ...]:
+        b, width = self.bounds, self.bounds.rate.shape[1]
+        return (
+            np.append(found.diverges, found.scales),
+            *(np.vstack([b.rate, found.rate]), np.vstack([b.anew, np.zeros_like(b.anew)])),
+            *(each.reshape(-1, width) for each in (found.lost, found.skipped, found.unfed)),
+        )
+
+    def ready(self) -> None:
+        """Find out now what absences do, for who cannot wait when something is missing for the first time."""
+        _ = self._some_missing
 
     @cached_property
     def limits(self) -> Array:
@@ -179,11 +206,14 @@ class Watch:
 
     def look(self, live: Array, batch: Batch, trace: Trace, into: Findings) -> Array:
         """The tests over N samples, written into `into`, and the state after them."""
-        live = live.copy()
+        live, top = live.copy(), 4 * len(self.poles)
+        owing = bool(live[top + 2 : top + 4].any()) or live[top + 4, -1] != 0.0
+        absences = self._some_missing if owing or not batch.complete else self._none_missing
         loop: Callable[..., Any] = _compiled() if self.compiled else pass_over
         loop(
             *(batch.y, batch.u, np.ascontiguousarray(trace.state.T), np.ascontiguousarray(trace.fault.T), batch.pace),
             *self._fixed,
+            *absences,
             live,
             *(into.shares, into.peak, into.own, into.nis, into.faded, into.bound, into.amplitude),
         )
