@@ -208,6 +208,8 @@ def monitoring(bank: Bank, *, sample_time: float | None = None, **options: Any) 
         step = found.interval if sample_time is None else sample_time
         supervision = supervised(bank, step, **options)
         supervision.monitor.expect(found.rows)
+        if not found.rows:  # a stream does not wait
+            supervision.monitor.ready()
         return supervision, {} if chosen is None else chosen
 
     return make

@@ -143,6 +143,11 @@ class Monitor:
         for h in self.hypotheses:
             h.watch.estimator.expect(rows)
 
+    def ready(self) -> None:
+        """Find out now what gaps and silence do, for who cannot wait a second at the first of them."""
+        for h in self.hypotheses:
+            h.watch.ready()
+
     def start(self) -> MonitorState:
         """Before the first sample."""
         hypotheses = self.hypotheses
