@@ -193,11 +193,20 @@ def _over(
 def _compiled() -> Callable[..., Any]:
     if obstacle():
         return _ask
-    text = f"@kernel(int64({SIGNATURE}), nogil=True)\n" + plain_text(_ask)
+    text = f"@part\n{plain_text(excused)}\n\n@kernel(int64({SIGNATURE}), nogil=True)\n{plain_text(_ask)}"
     try:
         return load(Program(text))["_ask"]
     except Inconclusive:
         return _ask
+
+
+def excused(share: float, h: int, test: int, amplitudes: Array, excuse: Array, first: Array) -> float:
+    """What is left of a share when the faults of a hypothesis have been as large as they may."""
+    room = 1.0
+    for a in range(int(first[0, h]), int(first[0, h + 1])):
+        if excuse[a, test] > 0.0:
+            room += excuse[a, test] * amplitudes[a]
+    return share / room
 
 
 def _ask(
@@ -213,32 +222,40 @@ def _ask(
 ) -> int:
     """One pass over the samples; `out` is written, its last column with the worst of all tests.
 
-    A watch all of whose tests hold need not be asked in detail.
+    A watch all of whose tests hold need not be asked in detail, and of the others few tests can be the worst: the one
+    that was so a sample before says how few.
     """
     hypotheses, watches = first.shape[1] - 1, begins.shape[1] - 1
+    worst, by, of = np.empty(hypotheses), np.zeros(hypotheses, dtype=np.int64), np.zeros(hypotheses, dtype=np.int64)
     for k in range(peaks.shape[0]):
-        worst, held = 0.0, 0.0  # of all watches, and of those whose tests all hold
+        largest, held = 0.0, 0.0  # of all watches, and of those whose tests all hold
         for g in range(watches):
             peak = peaks[k, g]
-            worst = peak if peak > worst else worst
+            largest = peak if peak > largest else largest
             held = peak if held < peak <= 1.0 else held
-        for h in range(hypotheses + 1):
-            out[k, h] = worst
-        if worst <= 1.0:
-            continue
+        out[k, hypotheses] = largest
         for h in range(hypotheses):
-            worst = held
-            for g in range(watches):
-                if peaks[k, g] <= 1.0 or age + k < silent[h, g]:
+            out[k, h] = largest
+        if largest <= 1.0:
+            continue
+        least = largest
+        for h in range(hypotheses):
+            worst[h] = held
+            if peaks[k, of[h]] > 1.0 and age + k >= silent[h, of[h]]:
+                worst[h] = max(held, excused(shares[k, by[h]], h, by[h], amplitudes[k], excuse, first))
+            least = worst[h] if worst[h] < least else least
+        for g in range(watches):
+            if peaks[k, g] <= 1.0:
+                continue
+            for test in range(int(begins[0, g]), int(begins[0, g + 1])):
+                share = shares[k, test]
+                if share <= least:
                     continue
-                for test in range(int(begins[0, g]), int(begins[0, g + 1])):
-                    share = shares[k, test]
-                    if share <= worst:
-                        continue
-                    excused = 1.0
-                    for a in range(int(first[0, h]), int(first[0, h + 1])):
-                        if excuse[a, test] > 0.0:
-                            excused += excuse[a, test] * amplitudes[k, a]
-                    worst = max(worst, share / excused)
-            out[k, h] = worst
+                for h in range(hypotheses):
+                    if share > worst[h] and age + k >= silent[h, g]:
+                        left = excused(share, h, test, amplitudes[k], excuse, first)
+                        if left > worst[h]:
+                            worst[h], by[h], of[h] = left, test, g
+        for h in range(hypotheses):
+            out[k, h] = worst[h]
     return 0

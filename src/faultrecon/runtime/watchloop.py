@@ -24,7 +24,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from faultrecon.runtime.watchrest import FAR, GONE, add, begin_anew, fade, fall_silent, miss, rest_of
-from faultrecon.runtime.watchtile import find_errors, regular, settled_tile, tell_tile
+from faultrecon.runtime.watchtile import (
+    clip_tile,
+    find_errors,
+    known,
+    regular,
+    settled_tile,
+    surely,
+    tell_tile,
+)
 
 Array = NDArray[Any]
 
@@ -32,10 +40,10 @@ SETTLED = 4.0  # bounds: an error of whose start more is left is not tested; les
 CUT = 10.0  # bounds: where a residual is cut off before it is averaged
 FAST = 0.5  # sample times: samples closer to the one before are not tested, as tests are made for the sample time
 TILE = 128  # samples whose errors are computed together
-NOTHING, LITTLE, MUCH = 0, 1, 2  # what is left of the start
+NOTHING, CLIPPED, LITTLE, MUCH = 0, 1, 2, 3  # what is left to be accounted for
 
 CONSTANTS = {"SETTLED": SETTLED, "CUT": CUT, "FAR": FAR, "GONE": GONE, "FAST": FAST, "TILE": TILE}
-CONSTANTS |= {"NOTHING": NOTHING, "LITTLE": LITTLE, "MUCH": MUCH}
+CONSTANTS |= {"NOTHING": NOTHING, "CLIPPED": CLIPPED, "LITTLE": LITTLE, "MUCH": MUCH}
 
 
 def rows_of(scales: int) -> int:
@@ -81,8 +89,8 @@ def pass_over(
     """
     rows, scales, errors, q = y.shape[1], limits.shape[0], limits.shape[1], fault.shape[0]
     held, one, values, tops = np.empty(live.shape), np.empty(TILE), np.empty((TILE, errors)), np.empty((TILE, errors))
-    inverse, cut, top, filters = np.empty(limits.shape), np.empty(errors), np.empty(errors), np.empty(limits.shape)
-    largest = 0.0
+    told, inverse, begun = np.empty((TILE, scales * errors)), np.empty(limits.shape), np.empty(limits.shape)
+    cut, top = np.empty(errors), np.empty(errors)
     held[:] = live
     for e in range(errors):
         cut[e] = CUT * limits[0, e]
@@ -92,11 +100,14 @@ def pass_over(
     for begin in range(0, rows, TILE):
         end = min(begin + TILE, rows)
         wild = find_errors(y, u, state, fault, reads, offsets, weights, limits, cut, begin, end, one, values, nis)
-        if owing == NOTHING and wild == 0 and largest <= 1.0 and regular(pace, begin, end):
-            largest = settled_tile(held, values, begin, end, q, poles, inverse, filters, tops, peak, own)
-            if largest <= 1.0:
-                tell_tile(held, filters, fault, begin, end, bound, poles, faded, off, size)
-                continue
+        if owing <= CLIPPED and regular(pace, begin, end) and (wild == 0 or known(values, end - begin)):
+            begun[:] = held[:scales, :errors]
+            settled_tile(held, values, end - begin, poles, inverse, told, tops)
+            if owing == CLIPPED or wild > 0:
+                clip_tile(held, begun, values, end - begin, poles, limits, inverse, cut, told, tops)
+                owing = owes(held, limits)
+            tell_tile(held, fault, begin, end, bound, poles, told, tops, shares, peak, own, faded, off, size)
+            continue
         for k in range(begin, end):
             value = values[k - begin]
             plain = pace[2, k] == 1.0 and pace[1, k] == 1.0 and pace[0, k] == 0.0 and within(value, cut)
@@ -111,7 +122,7 @@ def pass_over(
                 fade(held, scales, pace[1, k], rate)
                 if pace[2, k] != 1.0 or pace[0, k] != 0.0 or held[4 * scales + 4, errors] != 0.0:
                     miss(held, scales, y[:, k], u[:, k], pace[0, k], left, diverges, anew, lost, skipped, unfed)
-                faded[k, 0] = long_way(held, value, pace[0, k], pace[1, k], poles, cut, limits, q, top)
+                faded[k, 0] = long_way(held, value, pace[0, k], pace[1, k], poles, cut, limits, inverse, q, top)
                 owing = owes(held, limits)
             largest = 0.0
             for e in range(errors):
@@ -120,7 +131,7 @@ def pass_over(
                 largest = top[e] if top[e] > largest else largest
             peak[k, 0] = largest
             if largest > 1.0:
-                tell_shares(held, limits, top, shares[k])
+                tell_shares(held, limits, inverse, top, shares[k])
             remember(held, fault, k, pace[1, k], bound, poles, off, size)
     live[:] = held
     return 0
@@ -135,7 +146,9 @@ def within(value: Array, cut: Array) -> bool:
 
 
 def owes(live: Array, limits: Array) -> int:
-    """How much is left to be accounted for: nothing, little, so that every test is made as usual, or much."""
+    """How much is left to be accounted for: nothing, what was cut off alone, little, so that every test is made as
+    usual, or much.
+    """
     scales, errors = limits.shape[0], limits.shape[1]
     owed, cut, most = 0.0, 0.0, 0.0
     for e in range(live.shape[1]):
@@ -148,8 +161,10 @@ def owes(live: Array, limits: Array) -> int:
         for s in range(scales):
             owed += live[scales + s, e]
             cut += live[2 * scales + s, e] + live[3 * scales + s, e]
-    if most > SETTLED or cut > 0.0 or live[4 * scales + 4, errors] != 0.0:
+    if most > SETTLED or live[4 * scales + 4, errors] != 0.0:
         return MUCH
+    if cut > 0.0:
+        return MUCH if owed > 0.0 else CLIPPED
     return LITTLE if owed > 0.0 else NOTHING
 
 
@@ -158,7 +173,8 @@ def settled_way(live: Array, value: Array, poles: Array, inverse: Array, top: Ar
     for e in range(value.shape[0]):
         top[e] = 0.0
     for s in range(inverse.shape[0]):
-        keeps, takes = poles[s], 1.0 - poles[s]
+        takes = 1.0 - poles[s]
+        keeps = 1.0 - takes
         for e in range(value.shape[0]):
             live[s, e] = keeps * live[s, e] + takes * value[e]
             share = abs(live[s, e]) * inverse[s, e]
@@ -175,7 +191,8 @@ def fading_way(live: Array, value: Array, poles: Array, limits: Array, rate: Arr
     for e in range(value.shape[0]):
         top[e] = 0.0
     for s in range(scales):
-        keeps, takes = poles[s], 1.0 - poles[s]
+        takes = 1.0 - poles[s]
+        keeps = 1.0 - takes
         for e in range(value.shape[0]):
             rest = live[4 * scales, e] + live[4 * scales + 1, e] + live[4 * scales + 2, e] + live[4 * scales + 3, e]
             live[s, e] = keeps * live[s, e] + takes * value[e]
@@ -193,6 +210,7 @@ def long_way(
     poles: Array,
     cut: Array,
     limits: Array,
+    inverse: Array,
     q: int,
     top: Array,
 ) -> float:
@@ -222,7 +240,7 @@ def long_way(
             takes = 1.0 if poles[s] == 0.0 else elapsed * (1.0 - poles[s])
             keeps = 1.0 - takes
             if poles[s] == 0.0:  # one sample says one thing
-                live[s, e] = value[e]
+                live[s, e] = keeps * live[s, e] + takes * value[e]
             else:
                 live[s, e] = keeps * live[s, e] + takes * min(max(value[e], -most), most)
                 least = GONE * takes * limits[0, e]
@@ -232,7 +250,7 @@ def long_way(
                 live[3 * scales + s, e] = more if more > least else 0.0
             more = keeps * live[scales + s, e] + takes * rest
             live[scales + s, e] = more if more > GONE * takes else 0.0
-            top[e] = max(top[e], share_of(live, s, e, limits))
+            top[e] = max(top[e], share_of(live, s, e, limits, inverse))
     if elapsed < FAST:
         for e in range(value.shape[0]):
             top[e] = 0.0
@@ -240,20 +258,19 @@ def long_way(
     return settled if heard > 0 or tested == 0 else 0.0
 
 
-def share_of(live: Array, s: int, e: int, limits: Array) -> float:
+def share_of(live: Array, s: int, e: int, limits: Array, inverse: Array) -> float:
     """How much of its bound a filtered error uses up."""
     scales = limits.shape[0]
-    above = live[s, e] - live[3 * scales + s, e]
-    below = -live[s, e] - live[2 * scales + s, e]
-    return min(max(above, below, 0.0) / (limits[s, e] + limits[0, e] * live[scales + s, e]), FAR)
+    size, owed = surely(live[s, e], live[2 * scales + s, e], live[3 * scales + s, e]), live[scales + s, e]
+    return min(size * inverse[s, e] if owed == 0.0 else size / (limits[s, e] + limits[0, e] * owed), FAR)
 
 
-def tell_shares(live: Array, limits: Array, top: Array, shares: Array) -> None:
+def tell_shares(live: Array, limits: Array, inverse: Array, top: Array, shares: Array) -> None:
     """All shares of a sample, scale by scale; 0 where nothing can be said."""
     scales, errors = limits.shape[0], limits.shape[1]
     for e in range(errors):
         for s in range(scales):
-            shares[s * errors + e] = share_of(live, s, e, limits) if top[e] > 0.0 else 0.0
+            shares[s * errors + e] = share_of(live, s, e, limits, inverse) if top[e] > 0.0 else 0.0
 
 
 def wait(live: Array, e: int, rest: float, elapsed: float, poles: Array) -> None:
@@ -292,7 +309,10 @@ LOOP = (
     miss,
     find_errors,
     regular,
+    known,
+    surely,
     settled_tile,
+    clip_tile,
     tell_tile,
     owes,
     share_of,

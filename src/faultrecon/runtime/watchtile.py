@@ -8,12 +8,13 @@ tell go through one filter after the other.  The bits are those of one sample af
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from faultrecon.runtime.watchrest import FAR
+from faultrecon.runtime.watchrest import FAR, GONE
 
 Array = NDArray[Any]
 
@@ -43,8 +44,8 @@ def find_errors(
     squares = np.zeros(rows)
     for j in range(q):
         for k in range(rows):
-            values[k, j] = fault[j, begin + k]
-            wild += 0 if abs(fault[j, begin + k]) <= cut[j] else 1
+            values[k, j] = fault[j, begin + k] if limits[0, j] < FAR else 0.0
+            wild += 0 if abs(values[k, j]) <= cut[j] else 1
     for i in range(y.shape[0]):
         for k in range(rows):
             one[k] = y[i, begin + k] - offsets[i] if limits[0, q + i] < FAR else 0.0
@@ -76,64 +77,113 @@ def regular(pace: Array, begin: int, end: int) -> bool:
     return count == end - begin
 
 
-def settled_tile(
-    live: Array,
-    values: Array,
-    begin: int,
-    end: int,
-    q: int,
-    poles: Array,
-    inverse: Array,
-    filters: Array,
-    tops: Array,
-    peak: Array,
-    own: Array,
-) -> float:
-    """Plain samples that nothing is left for: what the filters come to, the largest shares, and the largest of all.
+def known(values: Array, rows: int) -> bool:
+    """Whether every error is a number."""
+    count = 0
+    for k in range(rows):
+        for e in range(values.shape[1]):
+            count += 1 if abs(values[k, e]) < math.inf else 0
+    return count == rows * values.shape[1]
 
-    What is written does with many samples what `settled_way` does with one.
+
+def settled_tile(live: Array, values: Array, rows: int, poles: Array, inverse: Array, told: Array, tops: Array) -> None:
+    """Plain samples, nothing being left to be accounted for: told and tops are all shares, and the largest by error.
+
+    It does with many samples what `settled_way` does with one.
     """
-    for s in range(filters.shape[0]):
-        keeps, takes = poles[s], 1.0 - poles[s]
-        for e in range(filters.shape[1]):
-            filters[s, e] = live[s, e]
-        for k in range(end - begin):
-            for e in range(filters.shape[1]):
-                filters[s, e] = keeps * filters[s, e] + takes * values[k, e]
-                share = abs(filters[s, e]) * inverse[s, e]
+    scales, errors = inverse.shape[0], inverse.shape[1]
+    for s in range(scales):
+        takes = 1.0 - poles[s]
+        keeps = 1.0 - takes
+        for k in range(rows):
+            for e in range(errors):
+                live[s, e] = keeps * live[s, e] + takes * values[k, e]
+                share = abs(live[s, e]) * inverse[s, e]
+                told[k, s * errors + e] = share
                 tops[k, e] = share if s == 0 or share > tops[k, e] else tops[k, e]
-    most = 0.0
-    for k in range(end - begin):
-        largest = 0.0
-        for e in range(q):
-            largest = tops[k, e] if tops[k, e] > largest else largest
-        own[begin + k, 0] = largest
-        for e in range(q, filters.shape[1]):
-            largest = tops[k, e] if tops[k, e] > largest else largest
-        peak[begin + k, 0] = largest
-        most = largest if largest > most else most
-    return most
+
+
+def clip_tile(
+    live: Array,
+    begun: Array,
+    values: Array,
+    rows: int,
+    poles: Array,
+    limits: Array,
+    inverse: Array,
+    cut: Array,
+    told: Array,
+    tops: Array,
+) -> None:
+    """What `settled_tile` has done with errors that are, or have been, cut off, done again.
+
+    begun: the filters before the tile.  It does with many samples what `long_way` does with one, as long as nothing but
+    what was cut off is to be accounted for.
+    """
+    scales, errors = limits.shape[0], limits.shape[1]
+    for e in range(errors):
+        wild = 0
+        for k in range(rows):
+            wild += 0 if abs(values[k, e]) <= cut[e] else 1
+        for s in range(scales):
+            wild += 1 if live[2 * scales + s, e] + live[3 * scales + s, e] > 0.0 else 0
+        if wild == 0:
+            continue
+        for s in range(scales):
+            takes, most = 1.0 - poles[s], cut[e] if poles[s] != 0.0 else math.inf
+            keeps, least = 1.0 - takes, GONE * takes * limits[0, e]
+            held, over, under = begun[s, e], live[2 * scales + s, e], live[3 * scales + s, e]
+            for k in range(rows):
+                above, below = values[k, e] - most, -most - values[k, e]
+                over = keeps * over + takes * (above if above > 0.0 else 0.0)
+                over = over if over > least else 0.0
+                under = keeps * under + takes * (below if below > 0.0 else 0.0)
+                under = under if under > least else 0.0
+                held = keeps * held + takes * (most if above > 0.0 else -most if below > 0.0 else values[k, e])
+                share = min(surely(held, over, under) * inverse[s, e], FAR)
+                told[k, s * errors + e] = share
+                tops[k, e] = share if s == 0 or share > tops[k, e] else tops[k, e]
+            live[s, e], live[2 * scales + s, e], live[3 * scales + s, e] = held, over, under
+
+
+def surely(held: float, over: float, under: float) -> float:
+    """How large a filtered error is for certain, whatever of it was cut off."""
+    above, below = held - under, -held - over
+    largest = above if above > below else below
+    return largest if largest > 0.0 else 0.0
 
 
 def tell_tile(
     live: Array,
-    filters: Array,
     fault: Array,
     begin: int,
     end: int,
     bound: Array,
     poles: Array,
+    told: Array,
+    tops: Array,
+    shares: Array,
+    peak: Array,
+    own: Array,
     faded: Array,
     off: Array,
     size: Array,
 ) -> None:
-    """What is said of plain samples whose tests all hold."""
-    for s in range(filters.shape[0]):
-        for e in range(filters.shape[1]):
-            live[s, e] = filters[s, e]
+    """What is said of samples that come at regular times, lack nothing, and leave nothing untested."""
+    q = fault.shape[0]
+    for k in range(end - begin):
+        faded[begin + k, 0] = 1.0
+        largest = 0.0
+        for e in range(q):
+            largest = tops[k, e] if tops[k, e] > largest else largest
+        own[begin + k, 0] = largest
+        for e in range(q, tops.shape[1]):
+            largest = tops[k, e] if tops[k, e] > largest else largest
+        peak[begin + k, 0] = largest
+        if largest > 1.0:
+            for test in range(told.shape[1]):
+                shares[begin + k, test] = told[k, test]
     last, keeps = live.shape[0] - 1, 1.0 - (1.0 - poles[poles.shape[0] - 1])
-    for k in range(begin, end):
-        faded[k, 0] = 1.0
     for j in range(fault.shape[0]):
         past = live[last, j]
         for k in range(begin, end):
