@@ -3,56 +3,97 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from itertools import pairwise
+
 import numpy as np
 import pytest
 
-from faultrecon.runtime.watchloop import remember, rows_of, settled_way
-from faultrecon.runtime.watchtile import regular, settled_tile, tell_tile
+from faultrecon.runtime.watch import Batch, Findings
+from faultrecon.runtime.watchloop import CLIPPED, CUT, NOTHING, long_way, owes, remember, rows_of, settled_way
+from faultrecon.runtime.watchtile import clip_tile, regular, settled_tile, tell_tile
 
 SCALES, ERRORS, FAULTS, ROWS = 3, 7, 2, 90
 POLES = np.array([0.0, 0.9, 0.999, 0.9998])  # of the filters, and how much of the size of a past fault counts
 
 
-@pytest.fixture
-def samples() -> dict[str, np.ndarray]:
-    """Errors within limits, faults among them, and what a watch remembers of those before."""
+def samples(wild):
+    """Errors, the share `wild` of them beyond where they are cut off; limits; and what a watch remembers."""
     rng = np.random.default_rng(3)
+    limits = 10.0 ** rng.integers(-6, 4, ERRORS) * rng.uniform(0.2, 1.0, (SCALES, ERRORS))
+    values = rng.uniform(-2.0, 2.0, (ROWS, ERRORS)) * limits[0]
+    values[rng.random(values.shape) < wild] *= 40.0
     live = np.zeros((rows_of(SCALES), ERRORS + 1))
-    live[:SCALES, :ERRORS] = rng.standard_normal((SCALES, ERRORS))
+    live[:SCALES, :ERRORS] = rng.uniform(-1.0, 1.0, (SCALES, ERRORS)) * limits
     live[-1, :FAULTS] = 0.3
-    values = rng.standard_normal((ROWS, ERRORS)) * 10.0 ** rng.integers(-8, 3, (ROWS, ERRORS))
-    limits = np.abs(values).max(axis=0) * rng.uniform(1.1, 3.0, (SCALES, ERRORS)) + np.abs(live[:SCALES, :ERRORS])
-    return {"live": live, "values": values, "inverse": 1.0 / limits, "bound": rng.uniform(1.0, 2.0, FAULTS)}
+    return live, values, limits
 
 
-def test_a_tile_leaves_the_filters_shares_and_sizes_that_single_samples_leave(samples: dict[str, np.ndarray]) -> None:
-    values, inverse, bound = samples["values"], samples["inverse"], samples["bound"]
-    fault = np.ascontiguousarray(values[:, :FAULTS].T)
-    one, many = samples["live"].copy(), samples["live"].copy()
-    peaks, owns, top = np.empty((ROWS, 1)), np.empty((ROWS, 1)), np.empty(ERRORS)
+@pytest.mark.parametrize("wild", [0.0, 0.02], ids=["plain", "some cut off"])
+def test_a_tile_leaves_the_filters_shares_and_sizes_that_single_samples_leave(wild):
+    begun, values, limits = samples(wild)
+    inverse, cut, fault = 1.0 / limits, CUT * limits[0], np.ascontiguousarray(values[:, :FAULTS].T)
+    bound = limits[0, :FAULTS]
+    one, tops = begun.copy(), np.empty((ROWS, ERRORS))
     offs, sizes = np.empty((ROWS, FAULTS)), np.empty((ROWS, FAULTS))
+    ways = set()
     for k in range(ROWS):
-        settled_way(one, values[k], POLES, inverse, top)
-        owns[k], peaks[k] = top[:FAULTS].max(), top.max()
+        owing = owes(one, limits)
+        ways.add(owing)
+        if owing == NOTHING and np.all(np.abs(values[k]) <= cut):
+            settled_way(one, values[k], POLES, inverse, tops[k])
+        else:
+            assert long_way(one, values[k], 0.0, 1.0, POLES, cut, limits, inverse, FAULTS, tops[k]) == 1.0
         remember(one, fault, k, 1.0, bound, POLES, offs, sizes)
+    assert ways == ({NOTHING, CLIPPED} if wild else {NOTHING})
 
+    many, told, found = begun.copy(), np.empty((ROWS, SCALES * ERRORS)), np.empty((ROWS, ERRORS))
+    settled_tile(many, values, ROWS, POLES, inverse, told, found)
+    if wild:
+        clip_tile(many, begun[:SCALES, :ERRORS], values, ROWS, POLES, limits, inverse, cut, told, found)
     peak, own, faded = np.empty((ROWS, 1)), np.empty((ROWS, 1)), np.zeros((ROWS, 1))
-    off, size = np.empty((ROWS, FAULTS)), np.empty((ROWS, FAULTS))
-    filters, tops = np.empty((SCALES, ERRORS)), np.empty((ROWS, ERRORS))
-    most = settled_tile(many, values, 0, ROWS, FAULTS, POLES, inverse, filters, tops, peak, own)
-    assert np.array_equal(many, samples["live"])  # until it is said that all tests hold
-    tell_tile(many, filters, fault, 0, ROWS, bound, POLES, faded, off, size)
-    for found, expected in ((many, one), (peak, peaks), (own, owns), (off, offs), (size, sizes)):
-        assert np.array_equal(found, expected)
-    assert most == peaks.max()
-    assert faded.all()
+    off, size, shares = np.empty((ROWS, FAULTS)), np.empty((ROWS, FAULTS)), np.full((ROWS, SCALES * ERRORS), -1.0)
+    tell_tile(many, fault, 0, ROWS, bound, POLES, told, found, shares, peak, own, faded, off, size)
+    for made, expected in ((many, one), (found, tops), (off, offs), (size, sizes)):
+        np.testing.assert_array_equal(made, expected)
+    np.testing.assert_array_equal(peak[:, 0], tops.max(axis=1))
+    np.testing.assert_array_equal(own[:, 0], tops[:, :FAULTS].max(axis=1))
+    failing = peak[:, 0] > 1.0
+    assert failing.any() and not failing.all() and faded.all()
+    np.testing.assert_array_equal(shares[failing].reshape(-1, SCALES, ERRORS).max(axis=1), tops[failing])
+    assert np.all(shares[~failing] == -1.0)
 
 
 @pytest.mark.parametrize("entry", [(0, 1.0), (1, 0.5), (2, 0.0)], ids=["a gap", "an early sample", "a silent sensor"])
-def test_one_sample_that_is_not_plain_keeps_its_tile_from_going_together(entry: tuple[int, float]) -> None:
+def test_one_sample_that_is_not_plain_keeps_its_tile_from_going_together(entry):
     pace = np.ones((3, ROWS))
     pace[0] = 0.0
     assert regular(pace, 0, ROWS)
     pace[entry[0], 40] = entry[1]
     assert not regular(pace, 0, ROWS)
     assert regular(pace, 41, ROWS)
+
+
+def test_where_tiles_begin_and_end_changes_no_bit(cart, cart_monitor, drive):
+    rng, rows = np.random.default_rng(8), 3000
+    k = np.arange(rows)
+    fault = 0.3 * np.minimum(k / 400.0, 1.0) * (k > 500) * (k < 1200) + 300.0 * ((k > 1500) & (k < 1530))
+    t, u, y = drive(cart, rng, rows, faults={"s1": fault})
+    y[rng.random(y.shape) < 0.003] += 1e3
+    y[2000:2004, 1] = u[2400] = y[2600] = np.nan
+    waits = np.where(k == 2800, 3.0, np.where(k == 2900, 0.5, 1.0))
+    for watch in (h.watch for h in cart_monitor.hypotheses[:2]):
+        trace = watch.estimator.replay(t, u, y)
+        whole, pieces = (Findings.room(rows, [watch])[0] for _ in range(2))
+        end = watch.look(watch.init(), Batch.of(u, y, waits), trace, whole)
+        live, edges = watch.init(), [0, *np.sort(rng.choice(np.arange(1, rows), 30, replace=False)).tolist(), rows]
+        for a, b in pairwise(edges):
+            part = replace(trace, state=trace.state[a:b], fault=trace.fault[a:b])
+            into = Findings(*(table[a:b] for table in vars(pieces).values()))
+            live = watch.look(live, Batch.of(u[a:b], y[a:b], waits[a:b]), part, into)
+        np.testing.assert_array_equal(live, end)
+        for name in ("peak", "own", "nis", "faded", "bound", "amplitude"):
+            np.testing.assert_array_equal(getattr(pieces, name), getattr(whole, name))
+        failing = whole.peak[:, 0] > 1.0
+        assert 0.02 < failing.mean() < 0.9
+        np.testing.assert_array_equal(pieces.shares[failing], whole.shares[failing])
