@@ -184,3 +184,12 @@ def test_a_file_made_in_pieces_says_in_words_what_the_whole_log_says(bank, colum
         assert read[name].dtype.kind in "OU"  # text, not the numbers that stand for it
         assert read[name].tolist() == whole[name].tolist()
     assert len(set(read["v1_quality"])) > 1
+
+
+def test_a_log_with_its_truth_says_that_it_is_not_scored_a_piece_at_a_time(cli, files, columns):
+    write_log(files / "known.csv", {**columns, "true_f_v1": np.zeros(ROWS)})
+    call = "run", files / "bank.json", files / "known.csv", "--json"
+    kept = "--checkpoint", files / "known.json", "--out", files / "known_out.csv"
+    whole, parts = (json.loads(cli(*call, *more)[1]) for more in ((), kept))
+    assert whole["scores"] is not None and whole["notes"] == []
+    assert parts["notes"][0].startswith("true_f_v1: a log is not scored a piece at a time")

@@ -94,8 +94,9 @@ def _in_pieces(
     keeping: Keeping,
     progress: Callable[[float], None],
 ) -> tuple[dict[str, Any], str]:
+    from faultrecon.io.chunks import Pieces
     from faultrecon.io.plausibility import unit_doubts_of
-    from faultrecon.io.watched import monitoring
+    from faultrecon.io.watched import TRUTH, monitoring
     from faultrecon.runtime.supervision import Supervision
 
     done = run_pieces(
@@ -104,13 +105,15 @@ def _in_pieces(
     supervision, state = done.processor, done.state
     assert isinstance(supervision, Supervision), "a bank makes nothing else"
     events, counts = supervision.monitor.events(state.monitor), state.counts
-    notes = unit_doubts_of(made.plant, done.survey.interval, done.survey.spans)
+    notes = [*unit_doubts_of(made.plant, done.survey.interval, done.survey.spans)]
+    if known := [name for name in Pieces(log).names if name.startswith(TRUTH)]:
+        notes.append(f"{', '.join(known)}: a log is not scored a piece at a time; for scores, run a part of it whole")
     data = {
         "rows": done.tally.written,
         "events": [event.as_dict() for event in events],
         "counts": counts.as_dict(supervision.intake.names),
         "untested": {name: finding.as_dict() for name, finding in supervision.monitor.refused.items()},
-        "notes": list(notes),
+        "notes": notes,
         "resumed_at": done.resumed_at,
     }
     lines = [f"{log}: {counts.received} rows in, {done.tally.written} out, a piece at a time"]
