@@ -25,7 +25,7 @@ from faultrecon.io.running import reconstruction, run_file
 from faultrecon.io.watched import monitoring
 
 ROWS, PIECE = 1_000_000, 65_536
-OFF = 0.05  # rad/s; the separation of pitch_rate, see `Bank.apart`, is a third of it
+OFF = 0.05  # rad/s; the separation of pitch_rate, see `Bank.apart`, is about a third of it
 SENSORS = (
     "alpha_vane",
     "beta_vane",
@@ -102,7 +102,7 @@ def main() -> None:
                 ("eight designs in memory, bare", "eight", "eight", "itself"),
                 ("the monitor of the eight in memory: bounds, tests, decisions", "watched", "eight", "the eight, bare"),
                 (
-                    "the same while a sensor is off, tests fail and hypotheses are rejected",
+                    "the same while a sensor lies and tests fail",
                     "lying",
                     "eight",
                     "the eight, bare",
