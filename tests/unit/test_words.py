@@ -13,7 +13,12 @@ SAID = Words(np.array([0, 2, 2, 1], dtype=np.int8), ("good", "held", "bad"))
 
 def test_numpy_reads_a_column_of_words_as_text() -> None:
     assert np.asarray(SAID).tolist() == SAID.tolist() == list(SAID) == ["good", "bad", "bad", "held"]
-    assert SAID.dtype.kind == np.asarray(SAID).dtype.kind == "U"
+    assert SAID.dtype == np.asarray(SAID).dtype
+    assert (SAID.shape, SAID.size, SAID.ndim, len(SAID)) == ((4,), 4, 1, 4)
+    assert SAID.astype(object).tolist() == SAID.tolist()
+    assert repr(SAID) == "Words(['good', 'bad', 'bad', 'held'])"
+    with pytest.raises(ValueError, match="always a copy"):
+        np.array(SAID, copy=False)
     assert np.isin(SAID, ("bad", "held")).tolist() == [False, True, True, True]
     assert spelled({"said": SAID, "t": np.arange(4.0)})["said"].tolist() == SAID.tolist()
 
@@ -21,6 +26,9 @@ def test_numpy_reads_a_column_of_words_as_text() -> None:
 def test_a_column_of_words_compares_row_by_row() -> None:
     assert (SAID == "bad").tolist() == [False, True, True, False]
     assert not (SAID == "unheard of").any()
+    assert (SAID != "bad").tolist() == [True, False, False, True]
+    assert (SAID[:1] != "bad").tolist() == [True]
+    assert (SAID != "unheard of").all() and not (np.asarray(SAID) != SAID).any()
     assert (np.asarray(SAID) == SAID).all()
     with pytest.raises(TypeError):
         hash(SAID)

@@ -25,13 +25,18 @@ from faultrecon.storage.checkpoint import settle_folder
 if TYPE_CHECKING:
     import pyarrow as pa
 
-SCHEMA = 2  # of the working file
+SCHEMA = 2  # of the working file of a Parquet file; that of a CSV file is its text
 WORDS = b"words"  # in the schema of the working file: those that the numbers of a column stand for
 
 
 def working_file(out: str | os.PathLike[str]) -> Path:
     """Where the rows are until all of them are there."""
     return Path(f"{os.fspath(out)}.part")
+
+
+def schema_of(out: str | os.PathLike[str] | None) -> int | None:
+    """How the rows are kept until all of them are there, where that needs to be said."""
+    return SCHEMA if out is not None and name_extension(str(out)) != ".csv" else None
 
 
 class Appending:

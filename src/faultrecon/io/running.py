@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from faultrecon.finding import InputError
-from faultrecon.io.appending import SCHEMA, Appending, working_file
+from faultrecon.io.appending import Appending, schema_of, working_file
 from faultrecon.io.chunks import PIECE, Samples, Survey, columns_of, fingerprint, samples, survey
 from faultrecon.io.designfile import design_document
 from faultrecon.io.playback import column_names, corrected_sensors
@@ -170,7 +170,7 @@ def run_file(
     source, tell = os.fspath(log), progress or _silent
     begun = existing(checkpoint, resume)
     of = {"run": "a file", "columns": columns_of(source, signals, mapping), "log": fingerprint(source)}
-    of |= {"output": None if out is None else Path(out).name, "rows at a time": piece, "schema": SCHEMA}
+    of |= {"output": None if out is None else Path(out).name, "rows at a time": piece, "schema": schema_of(out)}
     if begun is not None:
         checkpoints.demand_same(str(checkpoint), {**begun.of, "processor": None}, of | {"processor": None})
         content = begun.content

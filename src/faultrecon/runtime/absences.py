@@ -45,7 +45,7 @@ class Absences:
         sensors = absences(plant, estimator, sizes)
         known = [one.later for one in (rows[0], *sensors) if _known(one)]
         usual = np.hstack([np.zeros((len(fades.system.M), 0)), *(taller(one, len(fades.system.M)) for one in known)])
-        fades = fades.at_pace_of(usual)
+        fades = fades.afresh().at_pace_of(usual)
         skipped = _table(fades, [_come(fades, one) for one in rows])
         unfed, lost = (_table(fades, [_follow(fades, one) for one in each]) for each in (inputs, sensors))
         sampled = estimator.scheme == "sampled"

@@ -123,7 +123,7 @@ def bounds(
         fades.errors(start),
         fades.errors(fades.begin(blind)),
         fades.errors(fades.rate),
-        partial(Absences.of, plant, estimator, _sizes_of(plant, allowance, zeta, slipped), fades),
+        partial(Absences.of, plant, estimator, _sizes_of(plant, allowance, zeta, slipped), fades.afresh()),
         first,
         allowance,
         _assumptions(plant, estimator, system, allowance, first.undeclared),

@@ -56,6 +56,10 @@ class Fades:
         never = Fades(system, outputs, units, np.ones((2, rows)), np.zeros(rows), math.inf)
         return never, never.begin(box)
 
+    def afresh(self) -> Fades:
+        """The same, with nothing kept of its outputs: what can be kept fills memory, and is soon computed again."""
+        return replace(self, outputs=replace(self.outputs))
+
     def at_pace_of(self, box: Array) -> Fades:
         """The same at the pace of what another box, of which there may be no more than a little, leaves behind."""
         if self.back > 0.0:

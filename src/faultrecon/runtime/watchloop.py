@@ -11,8 +11,8 @@ would have held without that is its content plus what was cut off above less wha
 content less the latter nor the negative of the content less the former can lie above what is allowed.
 
 Complete samples take short ways, on which every step is the same for all errors side by side: that is what processors
-are quick at.  Where nothing is left of a start and all tests hold, whole tiles of samples go together, see `watchtile`.
-All others take the long way, which knows every case.
+are quick at.  Where nothing is left of a start or of an absence, whole tiles of them go together, see `watchtile`.  All
+others take the long way, which knows every case.
 """
 
 from __future__ import annotations

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""What a watch does with many samples at once: their errors, and, while nothing happens, all of their tests.
+"""What a watch does with many samples at once: their errors, and, where nothing is missing, all of their tests.
 
 Part of the loop of a watch, in its layout and compiled with it; see `watchloop`.  Side by side is what processors are
-quick at, so the errors of a tile of samples are computed signal by signal, and samples of which there is nothing to
-tell go through one filter after the other.  The bits are those of one sample after the other.
+quick at, so the errors of a tile of samples are computed signal by signal, and go through one filter after the other
+where nothing is left of a start or of an absence.  The bits are those of one sample after the other.
 """
 
 from __future__ import annotations
@@ -87,9 +87,9 @@ def known(values: Array, rows: int) -> bool:
 
 
 def settled_tile(live: Array, values: Array, rows: int, poles: Array, inverse: Array, told: Array, tops: Array) -> None:
-    """Plain samples, nothing being left to be accounted for: told and tops are all shares, and the largest by error.
+    """The tests of errors that are not cut off: told and tops are all shares, and the largest by error.
 
-    It does with many samples what `settled_way` does with one.
+    It does with many samples what `settled_way` does with one; errors that are cut off are for `clip_tile` to mend.
     """
     scales, errors = inverse.shape[0], inverse.shape[1]
     for s in range(scales):
@@ -187,7 +187,9 @@ def tell_tile(
     for j in range(fault.shape[0]):
         past = live[last, j]
         for k in range(begin, end):
-            past = max(past * keeps, abs(fault[j, k]))
+            past = past * keeps
+            if abs(fault[j, k]) < math.inf:
+                past = max(past, abs(fault[j, k]))
             off[k, j] = bound[j]
             size[k, j] = past + bound[j]
         live[last, j] = past

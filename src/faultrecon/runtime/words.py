@@ -33,10 +33,34 @@ class Words:
         """That of the text."""
         return self._texts.dtype
 
+    @property
+    def shape(self) -> tuple[int]:
+        """(N,)."""
+        return (len(self.codes),)
+
+    @property
+    def size(self) -> int:
+        """N."""
+        return len(self.codes)
+
+    @property
+    def ndim(self) -> int:
+        """1."""
+        return 1
+
+    def astype(self, dtype: DTypeLike) -> NDArray[Any]:
+        """The text as an array of another kind."""
+        return np.asarray(self).astype(dtype)
+
     def __len__(self) -> int:
         return len(self.codes)
 
+    def __repr__(self) -> str:
+        return f"Words({np.array2string(np.asarray(self), separator=', ', threshold=10)})"
+
     def __array__(self, dtype: DTypeLike | None = None, copy: bool | None = None) -> NDArray[Any]:
+        if copy is False:
+            raise ValueError("words are kept as numbers; text of them is always a copy")
         return np.asarray(self._texts[self.codes], dtype=dtype)
 
     @overload
@@ -49,7 +73,11 @@ class Words:
 
     def __eq__(self, other: object) -> Any:
         """Row by row: where it says this word, or what another column says."""
-        return self.__array__() == other if not isinstance(other, str) else self.codes == self._code(other)
+        return self.codes == self._code(other) if isinstance(other, str) else np.asarray(self) == np.asarray(other)
+
+    def __ne__(self, other: object) -> Any:
+        """Row by row: where it says something else."""
+        return ~(self == other)
 
     __hash__ = None  # pyright: ignore[reportAssignmentType] - like an array, it has none
 
