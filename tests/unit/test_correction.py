@@ -66,6 +66,15 @@ def test_what_was_good_before_these_rows_is_held_too():
     assert (out[0, 0], found[0, 0]) == (5.0, HELD)
 
 
+def test_what_nobody_knows_is_held_though_the_last_row_is_good_again():
+    nobody = [SimpleNamespace(corrected=np.full((3, 2), NAN))]
+    y, t, modes = np.array([[5.0, 1.0], [NAN, 2.0], [6.0, 3.0]]), np.arange(3.0), np.full(3, TRACKING)
+    after, out, found = Correction().apply(Held.nothing(2), t, y, modes, np.full(3, -1), ((0, (), ()),), nobody)
+    np.testing.assert_array_equal(out, [[5.0, 1.0], [5.0, 2.0], [6.0, 3.0]])
+    assert found.tolist() == [[GOOD, GOOD], [HELD, GOOD], [GOOD, GOOD]]
+    assert (after.value.tolist(), after.time.tolist()) == ([6.0, 3.0], [2.0, 2.0])
+
+
 def test_an_uncertain_value_is_never_held():
     reached = ((0, (), (0,)), (1, (0,), ()))
     _, out, found = applied(Correction("hold"), [5.0, 9.0], [SUSPECT, FAULT], 0, reached)

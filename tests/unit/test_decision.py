@@ -36,8 +36,10 @@ def decided(failed, outside, faded=None, faults=(1, 1, 1), cuts=(), heard=None):
     edges = [0, *sorted(cuts), len(failed)]
     for a, b in pairwise(edges):
         before = standing
-        counts, verdicts = counted(RULES, counts, Counts(failed[a:b], outside[a:b], faded[a:b], heard[a:b]))
-        standing, changes = decider.decide(standing, verdicts)
+        now = Counts(failed[a:b], outside[a:b], faded[a:b], heard[a:b])
+        _, verdicts = counted(RULES, counts, now)
+        counts, standing, changes, ready = decider.take(counts, standing, now)
+        assert np.array_equal(ready, verdicts.ready)
         assert [c.row for c in changes] == sorted({c.row for c in changes})
         here = [before] * (b - a)
         for change in changes:

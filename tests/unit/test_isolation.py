@@ -10,13 +10,14 @@ import pytest
 from faultrecon.graph.compiled import obstacle
 from faultrecon.graph.observer import Observer
 from faultrecon.numerics.discretise import foh, zoh
+from faultrecon.numerics.peaks import BLOCK, Outputs
 from faultrecon.plant.fault import Disturbance, FaultChannel
 from faultrecon.plant.plant import Plant
 from faultrecon.plant.signals import Channels, Noise, Signals
 from faultrecon.runtime.errors import error_system
 from faultrecon.runtime.estimator import Estimator
 from faultrecon.runtime.filling import Prediction
-from faultrecon.runtime.isolation import _ask, _compiled, _starts, isolation
+from faultrecon.runtime.isolation import LATER, LITTLE, _ask, _compiled, _over, _starts, isolation
 from faultrecon.runtime.steps import observer_step
 from faultrecon.runtime.watch import Batch, Findings
 from faultrecon.runtime.watch import _compiled as compiled_watch
@@ -277,3 +278,25 @@ def test_what_a_start_does_to_the_tests_is_what_is_computed(tanks, kind, lacks):
         tested = np.isfinite(watch.limits[0])
         # sums of some hundred numbers of size 1
         np.testing.assert_allclose((errors[1] - errors[0])[1:, tested], np.array(shown)[1:, tested], atol=1e-11)
+
+
+def test_a_start_is_over_when_a_loop_over_the_samples_says_so():
+    """Slow enough that the filters carry what they hold through several blocks."""
+    rng, rho, poles = np.random.default_rng(12), 0.9999, np.array([0.0, 0.99, 0.998])
+    M, C = np.array([[0.995, 0.004], [-0.004, 0.995]]), rng.normal(size=(4, 2))
+    starts, limits = rng.normal(size=(2, 3, 2)), rng.uniform(0.05, 0.2, (3, 4))
+    share, sizes = rng.uniform(0.5, 2.0, (3, 4, 3)), np.array([1.0, 2.0, 5.0])
+    done, left = _over(Outputs(M / rho, C), starts, poles, rho, limits, share, sizes)
+    enough = np.maximum(LATER * share, LITTLE / sizes)
+
+    rows, X, held = 20 * BLOCK, starts.reshape(2, 6), np.zeros((3, 4, 3))
+    tests = np.empty((rows, 3, 4, 3))
+    for k in range(rows):
+        size = np.abs(C @ X).reshape(4, 3, 2).max(axis=2)
+        held = (poles / rho)[:, None, None] * held + (1.0 - poles)[:, None, None] * size
+        tests[k], X = held / limits[:, :, None], M / rho @ X
+    last = [int(np.flatnonzero(np.any(tests[..., j] > enough[..., j], axis=(1, 2)))[-1]) + 1 for j in range(3)]
+    assert min(last) > 2 * BLOCK
+    assert done.tolist() == last
+    for j, at in enumerate(last):
+        np.testing.assert_allclose(left[..., j], tests[at:, ..., j].max(axis=0), rtol=1e-9)

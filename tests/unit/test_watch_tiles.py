@@ -82,7 +82,10 @@ def test_where_tiles_begin_and_end_changes_no_bit(cart, cart_monitor, drive):
     y[rng.random(y.shape) < 0.003] += 1e3
     y[2000:2004, 1] = u[2400] = y[2600] = np.nan
     waits = np.where(k == 2800, 3.0, np.where(k == 2900, 0.5, 1.0))
-    for watch in (h.watch for h in cart_monitor.hypotheses[:2]):
+    first, second = (h.watch for h in cart_monitor.hypotheses[:2])
+    certain = first.bounds.certain.copy()
+    certain[:, 0] = np.inf  # as of a fault that may go anywhere
+    for watch in (first, second, replace(first, bounds=replace(first.bounds, certain=certain))):
         trace = watch.estimator.replay(t, u, y)
         whole, pieces = (Findings.room(rows, [watch])[0] for _ in range(2))
         end = watch.look(watch.init(), Batch.of(u, y, waits), trace, whole)
@@ -97,3 +100,32 @@ def test_where_tiles_begin_and_end_changes_no_bit(cart, cart_monitor, drive):
         failing = whole.peak[:, 0] > 1.0
         assert 0.02 < failing.mean() < 0.9
         np.testing.assert_array_equal(pieces.shares[failing], whole.shares[failing])
+
+
+@pytest.mark.parametrize("cut", [1501, 1560, 1700])
+def test_a_log_may_be_cut_while_a_filter_still_holds_what_was_cut_off(cart, cart_monitor, drive, cut):
+    t, u, y = drive(cart, np.random.default_rng(0), 3000)
+    y[1500, 0] += 50.0
+    end, whole = cart_monitor.take(cart_monitor.start(), t, u, y)
+    state, parts = cart_monitor.start(), []
+    for here in (slice(0, cut), slice(cut, None)):
+        state, rows = cart_monitor.take(state, t[here], u[here], y[here])
+        parts.append(rows)
+    for name, column in whole.items():
+        np.testing.assert_array_equal(np.concatenate([rows[name] for rows in parts]), column)
+    for made, expected in zip(state.live, end.live, strict=True):
+        np.testing.assert_array_equal(made, expected)
+
+
+def test_an_estimate_without_end_says_nothing_about_how_large_a_fault_has_been():
+    live, fault = np.zeros((rows_of(1), 2)), np.array([[0.5, np.inf, 0.25]])
+    live[-1, 0] = 2.0
+    one, tile = live.copy(), live.copy()
+    poles, bound, offs, sizes = np.array([0.0, 0.5]), np.ones(1), np.empty((3, 1)), np.empty((3, 1))
+    for k in range(3):
+        remember(one, fault, k, 1.0, bound, poles, offs, sizes)
+    found = [np.empty((3, 1)) for _ in range(5)]
+    tell_tile(tile, fault, 0, 3, bound, poles, np.zeros((3, 1)), np.zeros((3, 1)), np.empty((3, 1)), *found)
+    np.testing.assert_array_equal(tile, one)
+    assert tile[-1, 0] == 0.25
+    np.testing.assert_array_equal(found[-1], sizes)
