@@ -249,13 +249,16 @@ class Estimator:
 
         x: as in `init`.  state: where an earlier part of the log ended, `Trace.end`, in place of x; a log replayed in
         parts gives the rows of the whole.
-        progress is told now and then which part of the work is done, 0 to 1.  The bits are those of
-        `step`, if the engines' sin, cos, ... are: they run the same instructions, each with a library of its own.
+        progress is told now and then which part of the work is done, 0 to 1.  The bits are those of `step`, if the
+        engines' sin, cos, ... are: they run the same instructions, each with a library of its own.
         """
-        o, tell = self.observer, progress or _silent
-        t, u, y = checked_log(t, u, y, len(o.u0), len(o.y0))
-        rows = len(t)
-        row = self.init(x=x)._row if state is None else self._after(state, t)
+        t, u, y = checked_log(t, u, y, len(self.observer.u0), len(self.observer.y0))
+        state = self.init(x=x) if state is None else self._demand_before(state, t)
+        return self.go_on(state, t.copy(), u, y, progress or _silent)
+
+    def go_on(self, state: State, t: Array, u: Array, y: Array, tell: Callable[[float], None]) -> Trace:
+        """The same for samples that `checked_log` has been through, all of them later than the state."""
+        o, rows, row = self.observer, len(t), state._row.copy()
         self._chosen.prepare(self._general, rows)
         fault, x_hat = columns(rows, o.F.shape[1]), columns(rows, len(o.x0))
         corrected, ok = columns(rows, len(o.y0)), columns(rows, len(o.y0), bool)
@@ -277,10 +280,10 @@ class Estimator:
             row = self._general.stretch(row, t[here], u[here], y[here], into, _part_of(tell, k, rows))
             k = here.stop
         tell(1.0)
-        return Trace(t.copy(), fault, x_hat, corrected, ok, State(row, self._layout))
+        return Trace(t, fault, x_hat, corrected, ok, State(row, self._layout))
 
-    def _after(self, state: State, t: Array) -> Array:
-        """A copy of the row that an earlier part of a log ended with."""
+    def _demand_before(self, state: State, t: Array) -> State:
+        """A state of this estimator, from before t."""
         if len(state._row) != self._width:
             raise InputError("the state belongs to another estimator")
         if state.samples and len(t) and not t[0] > state.t:
@@ -288,7 +291,7 @@ class Estimator:
                 f"the log goes on at {t[0]:g} s, and the part before it ended at {state.t:g} s",
                 why="time must increase from sample to sample",
             )
-        return state._row.copy()
+        return state
 
     def _plain_rows(self, t: Array, u: Array, y: Array) -> NDArray[np.intp]:
         """The rows that the compiled kernel is to take, if there is one, and N at their end."""

@@ -239,9 +239,8 @@ class Monitor:
             if before.samples == 0 and len(t):
                 guess = h.watch.bounds.beginning.guess(u[0], y[0])
                 alive = h.watch.init(blind=guess is None)
-                trace = estimator.replay(t, u, y, x=guess)
-            else:
-                trace = estimator.replay(t, u, y, state=before)
+                before = estimator.init(x=guess)
+            trace = estimator.go_on(before, t, u, y, lambda _: None)
             live.append(h.watch.look(alive, batch, trace, part))
             traces.append(trace)
         misfit, failed = self.isolation.ask(found, state.estimators[0].samples)
