@@ -11,7 +11,7 @@ import pytest
 
 from faultrecon.runtime.watch import Batch, Findings
 from faultrecon.runtime.watchloop import CLIPPED, CUT, NOTHING, long_way, owes, remember, rows_of, settled_way
-from faultrecon.runtime.watchtile import clip_tile, regular, settled_tile, tell_tile
+from faultrecon.runtime.watchtile import clip_tile, regular, settled_tile, tell_tile, worst_of
 
 SCALES, ERRORS, FAULTS, ROWS = 3, 7, 2, 90
 POLES = np.array([0.0, 0.9, 0.999, 0.9998])  # of the filters, and how much of the size of a past fault counts
@@ -48,12 +48,13 @@ def test_a_tile_leaves_the_filters_shares_and_sizes_that_single_samples_leave(wi
     assert ways == ({NOTHING, CLIPPED} if wild else {NOTHING})
 
     many, told, found = begun.copy(), np.empty((ROWS, SCALES * ERRORS)), np.empty((ROWS, ERRORS))
-    settled_tile(many, values, ROWS, POLES, inverse, told, found)
+    settled_tile(many, values, ROWS, POLES, inverse, True, told, found)
     if wild:
         clip_tile(many, begun[:SCALES, :ERRORS], values, ROWS, POLES, limits, inverse, cut, told, found)
     peak, own, faded = np.empty((ROWS, 1)), np.empty((ROWS, 1)), np.zeros((ROWS, 1))
     off, size, shares = np.empty((ROWS, FAULTS)), np.empty((ROWS, FAULTS)), np.full((ROWS, SCALES * ERRORS), -1.0)
-    tell_tile(many, fault, 0, ROWS, bound, POLES, told, found, shares, peak, own, faded, off, size)
+    worst_of(found, 0, ROWS, FAULTS, peak, own)
+    tell_tile(many, fault, 0, ROWS, bound, POLES, told, peak, shares, faded, off, size)
     for made, expected in ((many, one), (found, tops), (off, offs), (size, sizes)):
         np.testing.assert_array_equal(made, expected)
     np.testing.assert_array_equal(peak[:, 0], tops.max(axis=1))
@@ -124,8 +125,8 @@ def test_an_estimate_without_end_says_nothing_about_how_large_a_fault_has_been()
     poles, bound, offs, sizes = np.array([0.0, 0.5]), np.ones(1), np.empty((3, 1)), np.empty((3, 1))
     for k in range(3):
         remember(one, fault, k, 1.0, bound, poles, offs, sizes)
-    found = [np.empty((3, 1)) for _ in range(5)]
-    tell_tile(tile, fault, 0, 3, bound, poles, np.zeros((3, 1)), np.zeros((3, 1)), np.empty((3, 1)), *found)
+    found = [np.empty((3, 1)) for _ in range(4)]
+    tell_tile(tile, fault, 0, 3, bound, poles, np.zeros((3, 1)), np.zeros((3, 1)), *found)
     np.testing.assert_array_equal(tile, one)
     assert tile[-1, 0] == 0.25
     np.testing.assert_array_equal(found[-1], sizes)

@@ -32,6 +32,7 @@ from faultrecon.runtime.watchtile import (
     settled_tile,
     surely,
     tell_tile,
+    worst_of,
 )
 
 Array = NDArray[Any]
@@ -90,7 +91,7 @@ def pass_over(
     rows, scales, errors, q = y.shape[1], limits.shape[0], limits.shape[1], fault.shape[0]
     held, one, values, tops = np.empty(live.shape), np.empty(TILE), np.empty((TILE, errors)), np.empty((TILE, errors))
     told, inverse, begun = np.empty((TILE, scales * errors)), np.empty(limits.shape), np.empty(limits.shape)
-    cut, top = np.empty(errors), np.empty(errors)
+    cut, top, largest = np.empty(errors), np.empty(errors), 0.0
     held[:] = live
     for e in range(errors):
         cut[e] = CUT * limits[0, e]
@@ -101,12 +102,18 @@ def pass_over(
         end = min(begin + TILE, rows)
         wild = find_errors(y, u, state, fault, reads, offsets, weights, limits, cut, begin, end, one, values, nis)
         if owing <= CLIPPED and regular(pace, begin, end) and (wild == 0 or known(values, end - begin)):
+            clips = owing == CLIPPED or wild > 0
+            detail = clips or largest > 1.0
             begun[:] = held[:scales, :errors]
-            settled_tile(held, values, end - begin, poles, inverse, told, tops)
-            if owing == CLIPPED or wild > 0:
+            settled_tile(held, values, end - begin, poles, inverse, detail, told, tops)
+            if clips:
                 clip_tile(held, begun, values, end - begin, poles, limits, inverse, cut, told, tops)
                 owing = owes(held, limits)
-            tell_tile(held, fault, begin, end, bound, poles, told, tops, shares, peak, own, faded, off, size)
+            largest = worst_of(tops, begin, end, q, peak, own)
+            if largest > 1.0 and not detail:
+                held[:scales, :errors] = begun
+                settled_tile(held, values, end - begin, poles, inverse, True, told, tops)
+            tell_tile(held, fault, begin, end, bound, poles, told, peak, shares, faded, off, size)
             continue
         for k in range(begin, end):
             value = values[k - begin]
@@ -313,6 +320,7 @@ LOOP = (
     surely,
     settled_tile,
     clip_tile,
+    worst_of,
     tell_tile,
     owes,
     share_of,

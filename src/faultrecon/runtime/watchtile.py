@@ -86,8 +86,10 @@ def known(values: Array, rows: int) -> bool:
     return count == rows * values.shape[1]
 
 
-def settled_tile(live: Array, values: Array, rows: int, poles: Array, inverse: Array, told: Array, tops: Array) -> None:
-    """The tests of errors that are not cut off: told and tops are all shares, and the largest by error.
+def settled_tile(
+    live: Array, values: Array, rows: int, poles: Array, inverse: Array, detail: bool, told: Array, tops: Array
+) -> None:
+    """The tests of errors that are not cut off: tops are the largest shares by error, told in detail all of them.
 
     It does with many samples what `settled_way` does with one; errors that are cut off are for `clip_tile` to mend.
     """
@@ -99,7 +101,8 @@ def settled_tile(live: Array, values: Array, rows: int, poles: Array, inverse: A
             for e in range(errors):
                 live[s, e] = keeps * live[s, e] + takes * values[k, e]
                 share = abs(live[s, e]) * inverse[s, e]
-                told[k, s * errors + e] = share
+                if detail:
+                    told[k, s * errors + e] = share
                 tops[k, e] = share if s == 0 or share > tops[k, e] else tops[k, e]
 
 
@@ -153,6 +156,21 @@ def surely(held: float, over: float, under: float) -> float:
     return largest if largest > 0.0 else 0.0
 
 
+def worst_of(tops: Array, begin: int, end: int, q: int, peak: Array, own: Array) -> float:
+    """The largest share of each sample, and of its faults, are written; the largest of all comes back."""
+    most = 0.0
+    for k in range(end - begin):
+        largest = 0.0
+        for e in range(q):
+            largest = tops[k, e] if tops[k, e] > largest else largest
+        own[begin + k, 0] = largest
+        for e in range(q, tops.shape[1]):
+            largest = tops[k, e] if tops[k, e] > largest else largest
+        peak[begin + k, 0] = largest
+        most = largest if largest > most else most
+    return most
+
+
 def tell_tile(
     live: Array,
     fault: Array,
@@ -161,28 +179,18 @@ def tell_tile(
     bound: Array,
     poles: Array,
     told: Array,
-    tops: Array,
-    shares: Array,
     peak: Array,
-    own: Array,
+    shares: Array,
     faded: Array,
     off: Array,
     size: Array,
 ) -> None:
     """What is said of samples that come at regular times, lack nothing, and leave nothing untested."""
-    q = fault.shape[0]
-    for k in range(end - begin):
-        faded[begin + k, 0] = 1.0
-        largest = 0.0
-        for e in range(q):
-            largest = tops[k, e] if tops[k, e] > largest else largest
-        own[begin + k, 0] = largest
-        for e in range(q, tops.shape[1]):
-            largest = tops[k, e] if tops[k, e] > largest else largest
-        peak[begin + k, 0] = largest
-        if largest > 1.0:
+    for k in range(begin, end):
+        faded[k, 0] = 1.0
+        if peak[k, 0] > 1.0:
             for test in range(told.shape[1]):
-                shares[begin + k, test] = told[k, test]
+                shares[k, test] = told[k - begin, test]
     last, keeps = live.shape[0] - 1, 1.0 - (1.0 - poles[poles.shape[0] - 1])
     for j in range(fault.shape[0]):
         past = live[last, j]
