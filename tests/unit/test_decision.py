@@ -59,6 +59,14 @@ FIRST = (True, (False, True, True))
 SECOND = (True, (True, False, True))
 
 
+def test_failures_before_a_quiet_piece_are_forgotten_in_it():
+    """Two, then more than a window without any, then one: never half of a window, wherever the pieces end."""
+    log = rows_of((20, *QUIET), (2, *FIRST), (8, *QUIET), (1, *FIRST), (9, *QUIET))
+    whole = decided(*log)
+    assert whole == decided(*log, cuts=(22, 30, 31)) == decided(*log, cuts=(22, 24, 26, 28, 30))
+    assert {mode for mode, *_ in whole[W:]} == {TRACKING}
+
+
 def test_before_anything_can_be_tested_nothing_is_said():
     failed, outside = rows_of((30, *FIRST))
     assert {row[:2] for row in decided(failed, outside, np.zeros((30, 3)))} == {(WARMING, NOBODY)}

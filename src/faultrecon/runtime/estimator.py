@@ -248,13 +248,12 @@ class Estimator:
         """A whole log: t (N,), u (N, m), y (N, p), absolute; the same as `step`, sample by sample.
 
         x: as in `init`.  state: where an earlier part of the log ended, `Trace.end`, in place of x; a log replayed in
-        parts gives the rows of the whole.
-        progress is told now and then which part of the work is done, 0 to 1.  The bits are those of `step`, if the
-        engines' sin, cos, ... are: they run the same instructions, each with a library of its own.
+        parts gives the rows of the whole.  progress is told now and then which part of the work is done, 0 to 1.  The
+        bits are those of `step`, if the engines' sin, cos, ... are: they run the same instructions, each with a library.
         """
         t, u, y = checked_log(t, u, y, len(self.observer.u0), len(self.observer.y0))
-        state = self.init(x=x) if state is None else self._demand_before(state, t)
-        return self.go_on(state, t.copy(), u, y, progress or _silent)
+        begins = self.init(x=x) if state is None else self._demand_before(state, t)
+        return self.go_on(begins, t.copy(), u, y, progress or _silent)
 
     def go_on(self, state: State, t: Array, u: Array, y: Array, tell: Callable[[float], None]) -> Trace:
         """The same for samples that `checked_log` has been through, all of them later than the state."""
