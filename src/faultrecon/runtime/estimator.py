@@ -249,7 +249,7 @@ class Estimator:
 
         x: as in `init`.  state: where an earlier part of the log ended, `Trace.end`, in place of x; a log replayed in
         parts gives the rows of the whole.  progress is told now and then which part of the work is done, 0 to 1.  The
-        bits are those of `step`, if the engines' sin, cos, ... are: they run the same instructions, each with a library.
+        bits are those of `step`, if the engines' sin, cos, ... are: each has a library of its own for these.
         """
         t, u, y = checked_log(t, u, y, len(self.observer.u0), len(self.observer.y0))
         begins = self.init(x=x) if state is None else self._demand_before(state, t)
