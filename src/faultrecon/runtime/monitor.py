@@ -160,6 +160,7 @@ class Monitor:
         """Samples t (N,), u (N, m), y (N, p), absolute, time increasing; one row out for each.
 
         doubt (N, p): readings that something else than a test speaks against, such as that they stand still.
+        Columns of words are `Words`: arrays of text to whoever reads them, numbers until then.
         Raises InputError on shapes and times that do not fit; the state before is then as good as ever.
         """
         t, u, y = checked_log(t, u, y, self.plant.B.shape[1], self.plant.p)
