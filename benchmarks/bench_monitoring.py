@@ -101,12 +101,7 @@ def main() -> None:
                 ("one design in memory", "one", "one", "itself"),
                 ("eight designs in memory, bare", "eight", "eight", "itself"),
                 ("the monitor of the eight in memory: bounds, tests, decisions", "watched", "eight", "the eight, bare"),
-                (
-                    "the same while a sensor lies and tests fail",
-                    "lying",
-                    "eight",
-                    "the eight, bare",
-                ),
+                ("the same while a sensor lies and tests fail", "lying", "eight", "the eight, bare"),
                 ("one design, file to file", "file one", "file one", "itself"),
                 ("the bank of eight, file to file", "file bank", "file one", "one design, file to file"),
             )

@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 from faultrecon.runtime.watch import Batch, Findings
-from faultrecon.runtime.watchloop import CLIPPED, CUT, NOTHING, long_way, owes, remember, rows_of, settled_way
+from faultrecon.runtime.watchloop import CLIPPED, CUT, NOTHING, long_way, owes, rows_of, settled_way
+from faultrecon.runtime.watchrest import remember
 from faultrecon.runtime.watchtile import clip_tile, regular, settled_tile, tell_tile, worst_of
 
 SCALES, ERRORS, FAULTS, ROWS = 3, 7, 2, 90

@@ -287,9 +287,7 @@ def _mapping(pairs: list[str]) -> dict[str, str]:
 
 
 DEMONSTRATIONS = "Which demonstration: airliner, fighter, which-sensor or activated-sludge."
-ALL_SENSORS = (
-    "Of which-sensor: a hypothesis for each of the eleven sensors, not only for the three that ever fail; TIME."
-)
+ALL_SENSORS = "Of which-sensor: a hypothesis for each of the eleven sensors, not only for the three that ever fail."
 
 
 @app.command()

@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from faultrecon.runtime.watchrest import FAR, GONE, add, begin_anew, fade, fall_silent, miss, rest_of
+from faultrecon.runtime.watchrest import FAR, GONE, add, begin_anew, fade, fall_silent, miss, remember, rest_of
 from faultrecon.runtime.watchtile import (
     clip_tile,
     find_errors,
@@ -291,24 +291,10 @@ def wait(live: Array, e: int, rest: float, elapsed: float, poles: Array) -> None
         live[3 * scales + s, e] = (1.0 - takes) * live[3 * scales + s, e]
 
 
-def remember(
-    live: Array, fault: Array, k: int, elapsed: float, bound: Array, poles: Array, off: Array, size: Array
-) -> None:
-    """How far each estimate may be off, and how large the faults have been at most."""
-    last = live.shape[0] - 1
-    for j in range(fault.shape[0]):
-        rest = live[last - 4, j] + live[last - 3, j] + live[last - 2, j] + live[last - 1, j]
-        off[k, j] = bound[j] * (1.0 + rest) if rest < FAR else math.inf
-        past = live[last, j] * (1.0 - elapsed * (1.0 - poles[poles.shape[0] - 1]))
-        if math.isfinite(fault[j, k]):
-            past = max(past, abs(fault[j, k]))
-        live[last, j] = past
-        size[k, j] = past + off[k, j]
-
-
 LOOP = (
     within,
     rest_of,
+    remember,
     fade,
     add,
     begin_anew,
@@ -329,7 +315,6 @@ LOOP = (
     settled_way,
     fading_way,
     long_way,
-    remember,
     pass_over,
 )
 """The functions of the loop, each after those it calls."""

@@ -124,3 +124,18 @@ def miss(
             known = add(live, top, unfed, 2 * i, 1.0) and known
     if not known:
         begin_anew(live, top, anew)
+
+
+def remember(
+    live: Array, fault: Array, k: int, elapsed: float, bound: Array, poles: Array, off: Array, size: Array
+) -> None:
+    """How far each estimate may be off, and how large the faults have been at most."""
+    last = live.shape[0] - 1
+    for j in range(fault.shape[0]):
+        rest = live[last - 4, j] + live[last - 3, j] + live[last - 2, j] + live[last - 1, j]
+        off[k, j] = bound[j] * (1.0 + rest) if rest < FAR else math.inf
+        past = live[last, j] * (1.0 - elapsed * (1.0 - poles[poles.shape[0] - 1]))
+        if math.isfinite(fault[j, k]):
+            past = max(past, abs(fault[j, k]))
+        live[last, j] = past
+        size[k, j] = past + off[k, j]

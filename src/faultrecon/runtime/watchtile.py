@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from faultrecon.runtime.watchrest import FAR, GONE
+from faultrecon.runtime.watchrest import FAR, GONE, remember
 
 Array = NDArray[Any]
 
@@ -191,13 +191,4 @@ def tell_tile(
         if peak[k, 0] > 1.0:
             for test in range(told.shape[1]):
                 shares[k, test] = told[k - begin, test]
-    last, keeps = live.shape[0] - 1, 1.0 - (1.0 - poles[poles.shape[0] - 1])
-    for j in range(fault.shape[0]):
-        past = live[last, j]
-        for k in range(begin, end):
-            past = past * keeps
-            if abs(fault[j, k]) < math.inf:
-                past = max(past, abs(fault[j, k]))
-            off[k, j] = bound[j]
-            size[k, j] = past + bound[j]
-        live[last, j] = past
+        remember(live, fault, k, 1.0, bound, poles, off, size)
